@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy import sparse
+from scipy.special import ellipk
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
@@ -176,6 +177,7 @@ def test_planted_errors_of_a_large_family_are_rejected(chain):
     assert [check.name for _, check in verified(wrong, model) if not check.passed] == ["target"]
 
 
+@pytest.mark.slow
 def test_a_torus_of_many_coordinates_is_not_missed():
     """41 lightly damped masses past a torus bifurcation: the few exponents that Hill's matrix finds are among all that
     the certificate's integrator does, the one that grows first."""
@@ -264,6 +266,7 @@ def test_an_energy_takes_gyroscopic_forces():
     assert 0.5 * slowest < decay(point.problem, point.w).rate < slowest
 
 
+@pytest.mark.slow
 def test_slow_modes_of_many_coordinates_tell_as_all_do(monkeypatch):
     """What may grow of 41 masses is found from 30 slow modes as from all; where more would be needed it says so."""
     point = begun(masses(41, 0.225, damping=0.001), "frequency")
@@ -287,7 +290,7 @@ def test_a_verdict_of_450_masses_is_proved():
     assert slowest < about.rest < 0.5 * slowest
 
 
-def test_a_march_of_order_eight_finds_all_exponents():
+def test_a_march_of_order_twelve_finds_all_exponents():
     """Of a linear oscillator: -c / 2 +- i sqrt(1 - c^2 / 4), in units of the frequency."""
     point = begun(duffing(1.3, cubic=0.0, damping=0.1), "frequency")
     found = np.linalg.eigvals(monodromy(point.problem, point.w))
@@ -298,8 +301,8 @@ def test_a_march_of_order_eight_finds_all_exponents():
 @pytest.mark.parametrize(
     ("problem", "words"),
     [
-        (lambda: of.Problem(of.systems.van_der_pol(), of.Guess([2.0, 0.0], 6.6)), "nothing drives it"),
-        (lambda: replace(duffing(), free=("force",)), "freed parameters"),
+        (lambda: of.Problem(of.systems.van_der_pol(), of.Guess([2.0, 0.0], 6.6)), "keeps no energy"),
+        (lambda: replace(duffing(), free=("force",)), "frees force and pins nothing"),
     ],
 )
 def test_what_it_is_not_for_is_said(problem, words):
@@ -324,3 +327,107 @@ def test_the_beam_of_the_problem_file_is_certified():
     assert orbit.certificate.passed and orbit.stability == "asymptotically stable"
     moved = replace(orbit, state=orbit.state * (1 + 1e-5))
     assert {"closure", "distance"} & set(of.certify(moved).failures)
+
+
+def free_duffing_period(amplitude):
+    """Exact: of x'' + x + x^3 = 0 from rest at an amplitude, 4 K(m) / sqrt(1 + a^2), m = a^2 / 2 (1 + a^2)."""
+    return 4 * ellipk(amplitude**2 / (2 * (1 + amplitude**2))) / np.sqrt(1 + amplitude**2)
+
+
+@pytest.fixture(scope="module")
+def free():
+    """Two masses whose first spring is cubic: the family of the second mode in the energy."""
+    model = of.structure(np.eye(2), None, [[2.0, -1], [-1, 2]], {"c": {"kind": "cubic", "at": "q1", "stiffness": 0.5}})
+    problem = of.Problem(model, of.guesses.normal_mode(model, 1, 0.3), of.pin(energy=0.2), name="two masses")
+    watch = {"first": "amplitude(q1, 1)", "third": "amplitude(q1, 3)"}
+    settings = of.FamilySettings(method="balance")
+    return problem, of.follow_family(problem, "energy", until=42.0, settings=settings, watch=watch)
+
+
+def test_free_modes_are_those_of_shooting(free):
+    """The orbit, its family's resonances and its branch point with their errors, and stability; certified."""
+    problem, family = free
+    shot = of.find_orbit(problem)
+    balanced = of.find_orbit(problem, BALANCE)
+    assert balanced.certificate.passed and balanced.stability == shot.stability == "elliptic"
+    assert balanced.period == pytest.approx(shot.period, rel=1e-13)
+    assert balanced.action == pytest.approx(shot.action, rel=1e-11)
+    others = of.follow_family(shot, "energy", until=42.0)
+    kinds = [[event.kind for event in each.events] for each in (family, others)]
+    assert kinds[0] == kinds[1] == ["resonance"] * 3 + ["branch_point", "stability_change"]
+    for event, other in zip(family.events, others.events, strict=True):
+        assert abs(event.parameter - other.parameter) <= 3 * (event.error + other.error)
+        assert event.certified
+    assert family.ends[0].kind == "target" and family.points[-1].certified
+    assert family.points[-1].value == pytest.approx(42.0, rel=1e-13)
+    ratio = family.values("third") / family.values("first")
+    assert np.all(np.diff(ratio) > 0)
+
+
+def test_a_backbone_is_near_the_free_motions():
+    """Phase resonance of the driven Duffing oscillator to 1e-9; its frequencies are those of free motions of the same
+    amplitude to the square of the damping, both ways of finding which are exact but for it."""
+    off = []
+    for damping in (0.02, 0.04):
+        model = of.systems.forced_duffing(frequency=1.05, force=damping / 2, damping=damping)
+        guess = of.guesses.linear_response(model)
+        problem = of.Problem(model, guess, of.pin(phase_x=-np.pi / 2), free=("frequency",), method="balance")
+        watch = {"lag": "phase(x, 1)", "top": "max(x)", "rate": "amplitude(xdot, 1) / amplitude(x, 1)"}
+        settings = of.FamilySettings(method="balance", events=False)
+        backbone = of.follow_family(problem, "force", until=2 * damping, settings=settings, watch=watch)
+        assert backbone.values("lag") == pytest.approx(-np.pi / 2, abs=1e-9)
+        assert backbone.values("rate") == pytest.approx(backbone.values("frequency"), rel=1e-9)
+        assert backbone.points[0].certified and backbone.points[-1].certified
+        free = 2 * np.pi / free_duffing_period(backbone.values("top")[-1])
+        off.append(abs(backbone.values("frequency")[-1] / free - 1))
+    assert off[0] < 1e-3
+    assert off[1] / off[0] == pytest.approx(4.0, rel=0.3)
+
+
+@pytest.mark.slow
+def test_a_mode_of_many_coordinates_is_certified():
+    """41 masses, of whose multipliers nothing is claimed: the certificate's own integrator closes it."""
+    problem = masses(41, 0.1, damping=0.0)
+    model = of.structure(*(problem.model.system[name] for name in ("mass",)), None, problem.model.system["stiffness"],
+                         problem.model.system["elements"], parameters={"cubic": 0.1})  # fmt: skip
+    problem = of.Problem(model, of.guesses.normal_mode(model, 1, 2.0), of.pin(q20=2.0), name="mode")
+    orbit = of.find_orbit(problem, BALANCE)
+    assert orbit.certificate.passed, orbit.certificate.failures
+    assert orbit.stability == "undecided" and "averaging" in orbit.provenance["undecided"]
+    assert orbit.state[19] == pytest.approx(2.0, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_a_doubling_of_many_coordinates_is_that_of_few():
+    """An oscillator with a stop beside 40 others that it does not touch doubles its period where it does alone."""
+    found = []
+    for count in (1, 41):
+        damping, stiffness = np.diag([0.1] + [0.5] * (count - 1)), np.diag(np.arange(1.0, count + 1))
+        stop = {"s": {"kind": "stop", "at": "q1", "stiffness": 8.0, "gap": 0.2, "smoothing": 0.2}}
+        load = {"at": "q1", "amplitude": 1.0, "frequency": 2.8}
+        model = of.structure(np.eye(count), damping, stiffness, stop, load)
+        problem = of.Problem(model, of.guesses.linear_response(model), name="stop", method="balance")
+        family = of.follow_family(problem, "frequency", until=2.5)
+        doubling, change = family.events
+        assert (doubling.kind, change.kind) == ("period_doubling", "stability_change")
+        assert doubling.certified
+        assert all(check.passed for _, check in verified(family, model))
+        found.append(doubling)
+    assert abs(found[0].parameter - found[1].parameter) <= 3 * (found[0].error + found[1].error)
+    assert found[0].parameter == pytest.approx(found[1].parameter, abs=1e-7)
+
+
+@pytest.mark.slow
+def test_a_torus_of_a_large_family_is_where_all_multipliers_say():
+    """41 masses through a torus bifurcation: its pair is on the circle among all multipliers of implicit steps, which
+    are within it on one side and beyond it on the other."""
+    problem = replace(masses(41, 0.2215, damping=0.0005), method="balance")
+    family = of.follow_family(problem, "frequency", until=0.222)
+    (torus,) = [event for event in family.events if event.kind == "torus"]
+    assert torus.certified
+    assert all(check.passed for _, check in verified(family, problem.model))
+    for aside, told in ((-1e-5, "asymptotically stable"), (1e-5, "unstable")):
+        frequency = torus.parameter + aside
+        beside = masses(41, frequency, damping=0.0005)
+        state = states_of(begun(beside, "frequency"), np.zeros(1))[0]
+        assert gathered(beside.model, state, 2 * np.pi / frequency)[0].floquet.stability == told

@@ -264,7 +264,12 @@ def test_from_a_problem_file(tmp_path):
     "name, text, said",
     [
         ("peak", "max(y)", "watch.peak: unknown name 'y'; known are"),
-        ("peak", "x", "watch.peak: 'x' varies along an orbit; put what does into max(), min() or mean()"),
+        (
+            "peak",
+            "x",
+            "watch.peak: 'x' varies along an orbit; put what does into max(), min(), mean(), amplitude() or phase()",
+        ),
+        ("peak", "amplitude(x, 0)", "watch.peak: 'amplitude(x, 0)': harmonics are 1, 2, ...; give that number last"),
         ("peak", "__import__('os')", "watch.peak: \"__import__('os')\" is not allowed"),
         ("peak", "max(x, 1)", "watch.peak: 'max(x, 1)' is not allowed"),
         ("peak", "", "watch.peak: must be an expression"),
@@ -276,6 +281,18 @@ def test_mistakes_are_named(name, text, said):
     with pytest.raises(InputError) as raised:
         line(watch={name: text})
     assert str(raised.value).startswith(said)
+
+
+def test_harmonics_are_exact():
+    """Amplitude and phase of 1.5 cos(w t + 0.4) - 0.2 sin(3 w t) and its rate, at 64 equal times of some period."""
+    texts = {"a": "amplitude(x, 1)", "b": "phase(x, 1)", "c": "amplitude(x, 3) + amplitude(x, 2)", "d": "phase(x, 3)",
+             "e": "phase(xdot, 1) - phase(x, 1)"}  # fmt: skip
+    times, model = 3.0 + np.linspace(0.0, 2.5, 65), line().model
+    turn = 2 * np.pi * (times - 3.0) / 2.5
+    x, rate = 1.5 * np.cos(turn + 0.4) - 0.2 * np.sin(3 * turn), -1.5 * np.sin(turn + 0.4) - 0.6 * np.cos(3 * turn)
+    parameters = dict(zip(model.parameter_names, model.parameter_values, strict=True))
+    known = [watches(texts, model)[name].of(times, np.column_stack([x, rate]), parameters) for name in texts]
+    assert known == pytest.approx([1.5, 0.4, 0.2, np.pi / 2, np.pi / 2], abs=1e-14)
 
 
 def test_maxima_lie_between_samples():

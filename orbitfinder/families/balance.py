@@ -40,18 +40,20 @@ from orbitfinder.families.run import Sample, ahead, make_interval, make_sample
 from orbitfinder.families.start import curve_at, entry_of
 from orbitfinder.families.verified import checked
 from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.conditions import followed as followable
 from orbitfinder.loops.continued import Curve, at_place, tangent
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.problem import Problem, at_forcing_period
 from orbitfinder.loops.symmetry import NONE
-from orbitfinder.loops.watch import Number, Watch, watches
+from orbitfinder.loops.watch import Number, Watch, numbers, watches
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import extents, extents_of, masses_of
-from orbitfinder.orbits.balance import NAME, begun, refused, samples_of, states_of
+from orbitfinder.orbits.balance import NAME, begun, freed, refused, samples_of, states_of
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.closure import LARGEST_SCALE
 from orbitfinder.orbits.evidence import ClosureCheck
+from orbitfinder.orbits.harmonics import Balanced
 from orbitfinder.orbits.hill import exponents, monodromy, proved
 from orbitfinder.orbits.implicit import SMALL, ImplicitCheck, gathered
 from orbitfinder.orbits.measure import action
@@ -77,9 +79,9 @@ from orbitfinder.records.orbit import system_at
 
 NODES, STEPS = 16, 256
 """States at equal times that shooting stands on, and its steps of a period at least"""
-ZERO, AGAIN, SAMPLED, ROUNDED = 1e-6, 1e-5, 64, 1e-12
+ZERO, AGAIN, SAMPLED, ROUNDED, VANISHED = 1e-6, 1e-5, 64, 1e-12, 1e-2
 """An exponent that is 0 at an event is as near to it, what is verified of it again as this; states that units are taken
-from; relative error of a number"""
+from; relative error of a number; share of the first free motion that comes to rest"""
 
 
 def followed(
@@ -87,7 +89,7 @@ def followed(
     folder: Path | None, asked: tuple[Mapping[str, Any], Mapping[str, Any]], watch: Mapping[str, str | Number],
     progress: Callable[[Batch], None] | None,
 ) -> Family:  # fmt: skip
-    """The family of a driven motion in a parameter, each direction kept in a journal of the folder.
+    """The family of a driven motion in a parameter, or of free motions, each direction kept in a journal of the folder.
 
     `goals` are its end, values to be met, and whether there are others, of which it knows none; `asked` the request
     that a journal answers and what the family was started from. Raises `InputError` and `ConvergenceError`.
@@ -97,9 +99,16 @@ def followed(
         raise InputError(f"method: balance is not for this problem, {why}; leave method out")
     if others or settings.beside:
         raise InputError("stop, between, beside: not by balance; give until, or leave method out")
-    problem.model.parameter_index(parameter)
+    if problem.model.forced:
+        problem.model.parameter_index(parameter)
+    elif parameter not in followable(problem.model):
+        raise InputError(f"parameter: free motions by balance are followed in {', '.join(followable(problem.model))}, "
+                         f"got {parameter!r}")  # fmt: skip
+    if parameter in problem.free:
+        raise InputError(f"parameter: {parameter} is free for the phase already; follow in another")
     first = begun(problem, parameter, until)
-    own = (_Marched if _tame(first) else _Large)(problem, settings, name, watches(watch, problem.model), first)
+    marched = _tame(first) and not problem.free
+    own = (_Marched if marched else _Large)(problem, settings, name, watches(watch, problem.model), first)
     ways = _ways(first, settings, until, at)
     runs = [_Direction(own, sign, Goals(parameter, goal, exact), first) for sign, goal, exact in ways]
     with nullcontext() if folder is None else locks.alone_in(folder):
@@ -157,7 +166,7 @@ class _Marched:
         self, problem: Problem, settings: FamilySettings, name: str, watch: Mapping[str, Watch], first: Point
     ) -> None:
         self.problem, self.settings, self.name = problem, settings, name
-        equations = Equations.of(problem.model, NONE, (settings.parameter,))
+        equations = Equations.of(problem.model, NONE, (settings.parameter,) if problem.model.forced else ())
         self._equations, self._mesh = equations, uniform(1.0, NODES, STEPS // NODES)
         place = self._place(first)
         self.curve: Curve = replace(curve_at(equations, place), watch=watch)
@@ -173,9 +182,8 @@ class _Marched:
 
     def _place(self, point: Point) -> Any:
         shares = self._mesh[:: STEPS // NODES][:-1]
-        value = float(point.w.vector[-1])
-        period = 2 * np.pi / point.problem.equations.pace(value)
-        return self._equations.unknowns(states_of(point, shares), period, self._mesh, np.array([value]))
+        values, period = freed(point)
+        return self._equations.unknowns(states_of(point, shares), period, self._mesh, np.array([*values.values()]))
 
     def sample(self, point: Point, expected: np.ndarray | None = None) -> Sample:
         """The orbit of a point with its tangent and multipliers."""
@@ -208,6 +216,9 @@ class _Marched:
         ]
         batch = checked(self.curve, Batch(1, events=tuple(located)), length, self.settings.parameter)
         batch = batch_certified(self.curve, batch) if self.settings.certify else batch
+        if not self.curve.equations.model.forced:  # from here on in its own scales, of whatever size it is
+            self.curve = self.curve.measured(last.solution)
+            self._samples.clear()
         return [
             replace(event, arclength=before.point.arclength + event.arclength * step / length) for event in batch.events
         ]
@@ -227,7 +238,8 @@ class _Large:
         if problem.model.rates is not None:
             raise InputError("method: balance is for at most 40 coordinates of a first-order system, or stiff ones of "
                              "mechanics; describe it by masses, or leave method out")  # fmt: skip
-        self.check = ImplicitCheck(self.model, self.parameter, problem.forcing_cycles) if settings.certify else None
+        names = first.problem.equations.names
+        self.check = ImplicitCheck(self.model, names, problem.forcing_cycles) if settings.certify else None
         self.grown, steady = 1.0, not np.any(first.problem.equations.varying[:, 2] == 2)
         self.masses = masses_of(self.model.kinetic, states_of(first, np.zeros(1))[0], self.model) if steady else None
         self._first = np.zeros(0), False
@@ -243,9 +255,8 @@ class _Large:
         return {"fold": lambda point: rise(point, self.parameter), "change": changing} if self.settings.events else {}
 
     def point(self, point: Point, **where: Any) -> FamilyPoint:
-        value = float(point.w.vector[-1])
-        free, about = {self.parameter: value}, exponents(point.problem, point.w)
-        model, period = with_parameters(self.model, free), 2 * np.pi / point.problem.equations.pace(value)
+        about, (free, period) = exponents(point.problem, point.w), freed(point)
+        model, value = with_parameters(self.model, free), point.value(self.parameter)
         count = samples_of(point)
         mesh = np.linspace(0.0, 1.0, count + 1)
         states, (closes, closure) = states_of(point, mesh), self._closes(point)
@@ -261,20 +272,21 @@ class _Large:
             action=action(model, mesh * period, states), closure=closure, defect=closure, scale=self.grown,
             floquet_multipliers=about.multipliers, pair_defect=0.0, multiplier_method=MULTIPLIERS[-1],
             stability=about.stability, krein=(), root=1, indices=none.astype(complex), symmetry=NONE.name,
-            unfolding=(), free=free, shooting_nodes=nodes, mesh=shares, tangent=heading(point), **where,
+            unfolding=(), free=free, shooting_nodes=nodes, mesh=shares, tangent=heading(point),
+            watch=numbers(self.watch, mesh * period, states, dict(zip(model.parameter_names, model.parameter_values,
+                                                                      strict=True))), **where,
         )  # fmt: skip
 
     def _closes(self, point: Point) -> tuple[bool, float]:
         """Whether a motion closes as well as errors let it, and its gap in extents."""
         if self.check is None:
             return True, 0.0
-        value = float(point.w.vector[-1])
-        period, states = 2 * np.pi / point.problem.equations.pace(value), states_of(point, np.linspace(0.0, 1.0, 65))
+        (free, period), states = freed(point), states_of(point, np.linspace(0.0, 1.0, 65))
         if self.masses is None:
             units = extents_of(self.model, states, period)
         else:
             units = extents(np.ptp(states, axis=0), self.masses, period, self.model.angular)
-        closure = self.check(states[0], period, value, units)
+        closure = self.check(states[0], period, free, units)
         return closure <= CLOSURE * self.grown, closure
 
     def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:
@@ -288,7 +300,7 @@ class _Large:
     def _event(self, kept: KeptPoint, before: Point, after: Point) -> Event | None:
         """A located event with its check: the exponent that is on the axis there."""
         point = kept.point
-        balanced, value = point.problem, float(point.w.vector[-1])
+        balanced, value, (free, period) = point.problem, point.value(self.parameter), freed(point)
         about = exponents(balanced, point.w)
         if not about.values.size:
             return None
@@ -302,9 +314,8 @@ class _Large:
         if off > ZERO:
             return None
         nodes = states_of(point, np.linspace(0.0, 1.0, nodes_of(point) + 1))[:-1]
-        state, period = nodes[0], 2 * np.pi / balanced.equations.pace(value)
+        state, detail = nodes[0], self.parameter if turns else ""
         certain = bool(self.check and self._closes(point)[0])
-        free, detail = {self.parameter: value}, self.parameter if turns else ""
         return Event(
             kept.role if turns else other, 0, point.arclength, value, state, period,
             energy(with_parameters(self.model, free), state), detail, free=free, tangent=heading(point),
@@ -326,22 +337,22 @@ def nodes_of(point: Point) -> int:
 
 
 def heading(point: Point) -> np.ndarray:
-    """d(x(0), T, the parameter) / d(arclength)."""
-    balanced, w, tangent = point.problem, point.w, point.tangent
-    motion = [part[:, 0] for part in balanced.basis.motion(balanced.coefficients(w), np.zeros(1))]
-    moved = [part[:, 0] for part in balanced.basis.motion(tangent[:-1].reshape(len(motion[0]), -1), np.zeros(1))]
-    pace, change = (
-        balanced.equations.pace(float(w.vector[-1])),
-        tangent[-1] * balanced.equations.rise(float(w.vector[-1])),
-    )
-    return np.concatenate([moved[0], pace * moved[1] + change * motion[1],
-                           [-2 * np.pi * change / pace**2, tangent[-1]]])  # fmt: skip
+    """d(x(0), T, what is free) / d(arclength)."""
+    balanced: Balanced = point.problem
+    w, start = point.w, np.zeros(1)
+    motion = [part[:, 0] for part in balanced.basis.motion(balanced.coefficients(w), start)]
+    along, change = np.split(point.tangent, [balanced.pattern.whole])
+    moved = [part[:, 0] for part in balanced.basis.motion(along.reshape(len(motion[0]), -1), start)]
+    values = balanced.values(w)
+    pace, faster = balanced.equations.pace(values), float(balanced.equations.rise(values) @ change)
+    free = change if balanced.equations.names else change[:0]
+    return np.concatenate([moved[0], pace * moved[1] + faster * motion[1], [-2 * np.pi * faster / pace**2], free])
 
 
 def reverified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
     """Every event and end of a family of many coordinates, each with its check made again by implicit steps."""
     name, cycles = family.parameter, int(family.curve.get("cycles", 1))
-    check = ImplicitCheck(model, name, cycles)
+    check = ImplicitCheck(model, tuple(family.points[0].free), cycles)
     values = family.values("value")
     for k, event in enumerate(family.events):
         interrupt.check()
@@ -357,18 +368,18 @@ def _again(family: Family, check: ImplicitCheck, event: Event) -> Check:
     """An event's orbit closes, and what it claims: at a fold the family's direction comes back as it was, along which
     the parameter rests; elsewhere a multiplier of its own is recomputed on the unit circle."""
     try:
-        model = with_parameters(check.model, {family.parameter: event.parameter})
+        model = with_parameters(check.model, event.free)
         turns = abs(event.multiplier - 1.0) <= AGAIN and (KINDS[event.kind].extremal or KINDS[event.kind].verdict)
         seen = None if turns else gathered(model, event.state, event.period)[0]
         states = series(event.shooting_nodes, SAMPLED)
         units = extents_of(model, states, event.period)
-        closure = check(event.state, event.period, event.parameter, units)
+        closure = check(event.state, event.period, event.free, units)
         if not closure <= CLOSURE * family.points[0].scale:
             raise ConvergenceError(f"its orbit closes only to {closure:.2g}")
-        if abs(event.period / check.period(event.parameter) - 1.0) > ROUNDED:
+        if abs(event.period / check.period(event.free) - 1.0) > ROUNDED:
             raise ConvergenceError(f"its period is not that of the drive at {family.parameter} {event.parameter:.12g}")
         if seen is None:
-            off = check.kept(event.state, event.period, event.parameter, units, event.tangent[: units.size])
+            off = check.kept(event.state, event.period, event.free, units, event.tangent[: units.size])
         else:
             off = float(np.abs(seen.floquet.multipliers - event.multiplier).min()) + abs(abs(event.multiplier) - 1.0)
     except (ConvergenceError, IntegrationError, IndexError, ValueError) as error:
@@ -416,6 +427,10 @@ class _Direction:
             if progress:
                 new = tuple(self.events[len(self.events) - len(events) :])
                 progress(Batch(int(self.sign), (self._placed(kept),), new))
+            free, sizes = not self.first.problem.equations.names, (self.first.problem.sizes, kept.point.problem.sizes)
+            if free and sizes[1].max() < VANISHED * sizes[0].max():
+                self.end = End("equilibrium", "the motion comes to rest")
+                return
         self.end = curve.end or self.end
 
     def _placed(self, kept: KeptPoint) -> FamilyPoint:

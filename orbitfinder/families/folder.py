@@ -101,9 +101,9 @@ def follow_family(
         model: needed only for a system that no file describes.
         progress: called with each point and event.
         watch: numbers of each orbit by name, those of the Problem if None: text of states, parameters, max(), min() and
-            mean() over the motion, such as "max(x)", or a function of times (k, s), states (k x d) and parameters by
-            name. A motion is known at 960 equal times at least, to the fourth order of their distance; max() and min()
-            are its own, between them.
+            mean() over the motion, such as "max(x)", amplitude(x, k) and phase(x, k) of its k-th harmonic, or a
+            function of times (k, s), states (k x d) and parameters by name. A motion is known at 960 equal times at
+            least, to the fourth order of their distance; max() and min() are its own, between them.
         stop: values of watched numbers at which the family ends.
         between: two values of the parameter, at either of which it ends.
 

@@ -3,6 +3,9 @@
 With tau = omega t, omega = 2 pi cycles / (the drive's period), and ' for d/dtau,
 
     G(tau, q, q', q'', p) = M a + h,    v = omega q', a = omega^2 q'';    of a first-order system v - f(t, x, p).
+
+Where nothing drives a conservative system omega is free, and with it the unfolding s of a force -s q_j' on some
+coordinate j: free motions have s = 0 (see `orbits.harmonics`).
 """
 
 from __future__ import annotations
@@ -19,17 +22,23 @@ from orbitfinder.mechanics.model import Model
 
 
 class Residual:
-    """G of a Model with a parameter free (or nothing, ""), and its slopes, over many times in a call."""
+    """G of a Model with parameters free (of "" nothing is), and its slopes, over many times in a call.
 
-    def __init__(self, model: Model, name: str, cycles: int = 1) -> None:
-        self.model, self.name, self.size = model, name, model.degrees_of_freedom
-        tau, free = ca.SX.sym("tau"), ca.SX.sym("free")
+    Where nothing drives it (s, omega) are free, and j is `unfolded`.
+    """
+
+    def __init__(self, model: Model, names: tuple[str, ...] = ("",), cycles: int = 1, unfolded: int = 0) -> None:
+        self.model, self.size, self.unfolded = model, model.degrees_of_freedom, unfolded
+        self.names = names if model.forced else ()
+        tau, free = ca.SX.sym("tau"), ca.SX.sym("free", len(self.names) or 2)
         shape = [ca.SX.sym(label, self.size) for label in ("q", "dq", "ddq")]
-        p = model.parameters((name,) if name else (), free)
-        assert model.forcing_period is not None
-        pace = 2 * np.pi * cycles / model.forcing_period(p)
+        known = [k for k, name in enumerate(self.names) if name]
+        p = model.parameters([self.names[k] for k in known], free[known])
+        pace = free[1] if model.forcing_period is None else 2 * np.pi * cycles / model.forcing_period(p)
         q, v, a = shape[0], pace * shape[1], pace**2 * shape[2]
         rows = self._rows(tau / pace, q, v, a, p)
+        if not self.names:
+            rows[unfolded] += free[0] * shape[1][unfolded]
         entries, places = [], []
         for k, column in enumerate(shape):
             slopes = ca.jacobian(rows, column)
@@ -42,11 +51,12 @@ class Residual:
         self.varying, self.steady = table[varies], table[~varies]
         given = [tau, *shape, free]
         picked = [every[np.flatnonzero(which).tolist()] for which in (varies, ~varies)]
-        self._over = ca.Function("over", given, [rows, picked[0], ca.jacobian(rows, free)])
+        self._over = ca.Function("over", given, [rows, picked[0], *ca.horzsplit(ca.jacobian(rows, free))])
         self._fixed = ca.Function("fixed", [free], [ca.densify(picked[1])])
         self._rows_alone = ca.Function("rows", given, [ca.densify(rows)])
         self._pace = ca.Function("pace", [free], [pace, ca.jacobian(ca.SX(pace), free)])
         self._maps, self.patterns = dict[tuple[str, int], Buffered](), dict[Any, Any]()
+        self._levels = dict[str, ca.Function]()
 
     def _rows(self, t: Any, q: Any, v: Any, a: Any, p: Any) -> Any:
         model = self.model
@@ -62,51 +72,71 @@ class Residual:
         return ca.substitute([ca.densify(given)], [x, rate, clock], [q, v, t])[0]
 
     @property
-    def start(self) -> float:
-        """The model's own value of the parameter."""
-        return float(self.model.parameter_values[self.model.parameter_index(self.name)]) if self.name else 0.0
+    def start(self) -> np.ndarray:
+        """The model's own values of what is free."""
+        named = dict(zip(self.model.parameter_names, map(float, self.model.parameter_values), strict=True))
+        return np.array([named.get(name, 0.0) for name in self.names]) if self.names else np.array([0.0, 1.0])
 
-    def pace(self, value: float) -> float:
+    @cached_property
+    def level(self) -> str:
+        """The energy's name."""
+        return next(each.name for each in self.model.invariants if each.generator is None)
+
+    def pace(self, values: np.ndarray) -> float:
         """omega, in rad/s."""
-        return float(self._pace(value)[0])
+        return float(self._pace(values)[0])
 
-    def rise(self, value: float) -> float:
-        """d omega / d parameter."""
-        return float(self._pace(value)[1])
+    def rise(self, values: np.ndarray) -> np.ndarray:
+        """d omega / d values."""
+        return np.asarray(self._pace(values)[1].full().ravel())
 
-    def over(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> list[np.ndarray]:
-        """At times (s, in rad) and q, q', q'' (n x s each): G (n x s), its varying slopes (k x s), dG/dp (n x s)."""
-        return [part.T for part in self._mapped(self._over, times, motion, value)]
+    def at_start(self, name: str, state: np.ndarray) -> tuple[float, np.ndarray]:
+        """An invariant by name, or a component, of a state (2n), and its slopes (2n)."""
+        if name in self.model.state_names:
+            unit = np.eye(1, 2 * self.size, self.model.state_index(name))[0]
+            return float(unit @ state), unit
+        if name not in self._levels:
+            x, p = ca.SX.sym("x", 2 * self.size), ca.DM(self.model.parameter_values)
+            (level,) = (each.value for each in self.model.invariants if each.name == name)
+            number = level(x[: self.size], x[self.size :], p)
+            made = ca.Function("level", [x], [number, ca.densify(ca.gradient(number, x))])
+            self._levels[name] = made
+        number, slopes = self._levels[name](state)
+        return float(number), slopes.full().ravel()
 
-    def rows(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> np.ndarray:
+    def over(self, times: np.ndarray, motion: list[np.ndarray], values: np.ndarray) -> list[np.ndarray]:
+        """At times (s, rad) and q, q', q'' (n x s each): G (n x s), its varying slopes (k x s), dG/dp (n x s) each."""
+        return [part.T for part in self._mapped(self._over, times, motion, values)]
+
+    def rows(self, times: np.ndarray, motion: list[np.ndarray], values: np.ndarray) -> np.ndarray:
         """G alone."""
-        return self._mapped(self._rows_alone, times, motion, value)[0].T
+        return self._mapped(self._rows_alone, times, motion, values)[0].T
 
-    def fixed(self, value: float) -> np.ndarray:
+    def fixed(self, values: np.ndarray) -> np.ndarray:
         """The slopes that are the same at all states."""
-        return np.asarray(self._fixed(value).full().ravel())
+        return np.asarray(self._fixed(values).full().ravel())
 
     def _mapped(
-        self, function: ca.Function, times: np.ndarray, motion: list[np.ndarray], value: float
+        self, function: ca.Function, times: np.ndarray, motion: list[np.ndarray], values: np.ndarray
     ) -> list[np.ndarray]:
         key = (function.name(), times.size)
         if key not in self._maps:
             self._maps[key] = Buffered(function.map(times.size))
-        return self._maps[key](times[:, None], *(part.T for part in motion), value)
+        return self._maps[key](times[:, None], *(part.T for part in motion), values)
 
     @cached_property
     def odd(self) -> bool:
         """Whether G(tau + pi, -q, -q', -q'') = -G."""
-        random, value = np.random.default_rng(0), self.start
+        random, values = np.random.default_rng(0), self.start
         times = random.uniform(0, 2 * np.pi, 3)
         motion = [random.normal(size=(self.size, 3)) for _ in range(3)]
-        here, there = self.rows(times, motion, value), self.rows(times + np.pi, [-part for part in motion], value)
+        here, there = self.rows(times, motion, values), self.rows(times + np.pi, [-part for part in motion], values)
         return bool(np.abs(here + there).max() <= 1e-9 * np.abs(here).max())
 
-    def slopes(self, times: np.ndarray, motion: list[np.ndarray], value: float) -> np.ndarray:
+    def slopes(self, times: np.ndarray, motion: list[np.ndarray], values: np.ndarray) -> np.ndarray:
         """All slopes (3 x s x n x n) by q, q' and q'' at times, dense."""
         slopes = np.zeros((3, times.size, self.size, self.size))
-        moving, fixed = self.over(times, motion, value)[1], self.fixed(value)[:, None]
+        moving, fixed = self.over(times, motion, values)[1], self.fixed(values)[:, None]
         for table, entries in ((self.varying, moving), (self.steady, fixed)):
             slopes[table[:, 2], :, table[:, 0], table[:, 1]] = entries
         return slopes

@@ -434,7 +434,11 @@ def _state_refused(problem: Any, asked: Pin) -> str:
     )
 
 
-PARAMETER = "a physical parameter"
+def _phase(_: Variables, name: str) -> Any:
+    raise InputError(f'{name}: is of a harmonic, which method = "balance" knows; ask for that')
+
+
+PARAMETER, PHASE = "a physical parameter", "phase_"
 QUANTITIES = Registry(Quantity, {
     "the energy": Quantity(
         lambda _: ("energy",),
@@ -465,13 +469,18 @@ QUANTITIES = Registry(Quantity, {
         _state_refused,
         followed=True,
     ),
+    "the phase of a coordinate of a driven motion": Quantity(
+        lambda model: [PHASE + name for name in model.state_names[: model.degrees_of_freedom * model.forced]],
+        _phase,
+    ),
     PARAMETER: Quantity(
         lambda model: model.parameter_names,
         lambda variables, name: variables.parameters[variables.model.parameter_index(name)],
         _unknown,
     ),
 })  # fmt: skip
-"""What may be named, by its kind; where a name is of two, the first is meant"""
+"""What may be named, by its kind; where a name is of two, the first is meant. A phase (rad) is that of a coordinate's
+first harmonic, amplitude cos(2 pi t / T + phase)"""
 
 
 def check_constraint(constraint: Constraint) -> None:

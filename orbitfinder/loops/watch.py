@@ -97,7 +97,7 @@ def arcs(times: np.ndarray) -> list[slice]:
 
 
 def _stated(text: str, model: Model, where: str) -> Number:
-    """The number of a text in which max(), min() and mean() are over the motion."""
+    """The number of a text in which max(), min(), mean(), amplitude() and phase() are over the motion."""
     x, p, period = ca.SX.sym("x", len(model.state_names)), ca.SX.sym("p", len(model.parameter_names)), ca.SX.sym("T")
     reductions = list[tuple[Callable[[np.ndarray, np.ndarray], float], Any, Any]]()
 
@@ -108,10 +108,23 @@ def _stated(text: str, model: Model, where: str) -> Number:
 
         return reduced
 
-    calls = {"max": over(_greatest), "min": over(lambda t, y: -_greatest(t, -y)), "mean": over(_mean)}
+    def harmonic(part: Callable[[complex], Any]) -> Callable[[Any, Any], Any]:
+        def reduced(inner: Any, order: Any) -> Any:
+            if not isinstance(order, float) or order < 1 or order % 1:
+                raise InputError(f"{where}: {text!r}: harmonics are 1, 2, ...; give that number last")
+            return over(lambda t, y: float(part(_harmonic(t, y, int(order)))))(inner)
+
+        setattr(reduced, "count", 2)  # noqa: B010 - which no type of a function has
+        return reduced
+
+    calls: dict[str, Callable[..., Any]] = {
+        "max": over(_greatest), "min": over(lambda t, y: -_greatest(t, -y)), "mean": over(_mean),
+        "amplitude": harmonic(abs), "phase": harmonic(np.angle),
+    }  # fmt: skip
     outer = ca.SX(expression(text, named(model, x, p, period), where, calls))
     if ca.depends_on(outer, x):
-        raise InputError(f"{where}: {text!r} varies along an orbit; put what does into max(), min() or mean()")
+        raise InputError(f"{where}: {text!r} varies along an orbit; put what does into max(), min(), mean(), "
+                         "amplitude() or phase()")  # fmt: skip
     known = ca.vertcat(ca.SX(0, 1), *(symbol for _, _, symbol in reductions))
     given = [x, p, period, known]
     inner = [ca.Function("inner", given, [inside]) for _, inside, _ in reductions]
@@ -130,6 +143,12 @@ def _stated(text: str, model: Model, where: str) -> Number:
 def _mean(times: np.ndarray, values: np.ndarray) -> float:
     """The mean over the period, to the fourth order of the samples, or of whatever order where values are periodic."""
     return float(sum(simpson(values[arc], x=times[arc]) for arc in arcs(times)) / (times[-1] - times[0]))
+
+
+def _harmonic(times: np.ndarray, values: np.ndarray, order: int) -> complex:
+    """c of the harmonic Re(c e^(2 pi i order t / T)) = |c| cos(2 pi order t / T + arg c)."""
+    turn = 2 * np.pi * order * (times - times[0]) / (times[-1] - times[0])
+    return 2 * complex(_mean(times, values * np.cos(turn)), -_mean(times, values * np.sin(turn)))
 
 
 def _greatest(times: np.ndarray, values: np.ndarray) -> float:

@@ -7,7 +7,7 @@
 #include <math.h>
 #include <stddef.h>
 #define casadi_int long long int
-#define LANES 8
+#define LANES 16
 #define LINK(K) for (int K = 0; K < LINKS; K++)
 #define UP(K) for (int K = LINKS - 1; K >= 0; K--)
 #define LANE for (int l = 0; l < LANES; l++)

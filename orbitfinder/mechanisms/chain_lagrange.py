@@ -10,6 +10,7 @@ are; of links that hang one on another m_ij = s_i h_j for i < j, with which `cha
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
@@ -25,9 +26,9 @@ from orbitfinder.integrate.field import CompiledField, VectorField, Work, as_tab
 from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model
 
-AGREEMENT, ROUND_OFF = 1e-10, 1e-13
+AGREEMENT, ROUND_OFF, WIDEST = 1e-10, 1e-13, 40
 """The closed form must give the Model's energies to this, relative, at states it was not read from, in C its rates;
-error of the coupling that two numbers a link stand for, relative to its largest entry"""
+error of the coupling that two numbers a link stand for, relative to its largest entry; columns varied together"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,9 +131,27 @@ class ChainLagrange:
         return _ClosedField(self.field, Work("chain", lambda: self._code(0), np.inf))
 
     @cached_property
+    def width(self) -> int:
+        """Columns that are varied together: in C as many as a cache holds along the stages of a step."""
+        return 2 * self.weights.size if self.varied_rates.library() is None else self._block
+
+    @property
+    def _block(self) -> int:
+        return -(-2 * self.weights.size // -(-2 * self.weights.size // WIDEST))
+
+    @cached_property
     def varied_rates(self) -> CompiledField:
-        """`variational` of 2n columns, in C where there is a compiler."""
-        return _ClosedField(self.variational, Work("variations", lambda: self._code(2 * self.weights.size), np.inf))
+        """`variational` of `width` columns, in C where there is a compiler."""
+        return _ClosedField(self.variational, Work("variations", lambda: self._code(self._block), np.inf))
+
+    def varied(self, columns: np.ndarray, march: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """The state (2n) and the columns of a matrix (2n x k) that a march of vec Y to (x, vec Y) ends with, `width` of
+        them at a time."""
+        count, ends = columns.shape[1], list[np.ndarray]()
+        for first in range(0, count, self.width):
+            some = columns[:, np.arange(first, first + self.width) % count]  # of the last block some come again
+            ends.append(march(some.ravel("F")).reshape(2 * self.weights.size, -1, order="F"))
+        return ends[0][:, 0], np.hstack([part[:, 1:] for part in ends])[:, :count]
 
     def _code(self, columns: int) -> str:
         """C of the field with variations of so many columns. Raises `Unavailable` where links do not hang in a row."""

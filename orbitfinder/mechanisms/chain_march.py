@@ -1,7 +1,7 @@
 """The motion of a long chain as a March: its states by the recursion, its variations in closed form.
 
-The state is marched by CasADi on the O(n) accelerations of the Model. Variations march in lanes, O(n) a column; without
-a compiler they are a product of dense matrices at each stage, which in the closed form costs a twelfth of what n
+The state is marched by CasADi on the O(n) accelerations of the Model. Variations march in the closed form's C, O(n) a
+column; without a compiler they are a product of dense matrices at each stage, which costs a twelfth of what n
 directional derivatives of the recursion cost interpreted. Both march with the eighth-order coefficients of `rk8`.
 """
 
@@ -15,7 +15,6 @@ from scipy.integrate import DOP853
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.lanes.kernel import Kernel
 from orbitfinder.integrate.march import March, Varied, divided
 from orbitfinder.integrate.rk8 import AGREEMENT, one_step, refined
 from orbitfinder.mechanics.model import Model, field_apart, vector_field
@@ -42,9 +41,8 @@ class ClosedChain(March):
         """The closed form, from the Model's energies."""
         return chain_lagrange(self.model)
 
-    def _kernel(self, varied: bool, segments: int = 0) -> Kernel | None:
-        """That of variations alone: states are marched in no time."""
-        return super()._kernel(varied, segments) if varied else None
+    def _kernel(self, varied: bool, segments: int = 0) -> None:
+        """None: states are marched in no time, variations by the closed form."""
 
     @cached_property
     def _chunk(self) -> ca.Function:
@@ -114,26 +112,27 @@ class ClosedChain(March):
 
         Raises `IntegrationError` when the result is not finite.
         """
-        z = np.concatenate([state, np.ravel(directions, "F")])
-        if (quick := self._kernel(True, 1)) is not None:
-            start = np.zeros((1, 1 + self.size * (1 + self.columns)))
-            start[0, 1 : 1 + z.size] = z
-            z = quick.marched(start, steps[:, None])[0][0, 1 : 1 + z.size]
-            return self._finite(state, z).reshape(directions.shape, order="F")
-        slopes = np.empty((len(DOP853.A), z.size))
-        with np.errstate(over="ignore", invalid="ignore"):
-            for h in steps:
-                slopes[0] = self.closed.variational(0.0, z)
-                for k, row in enumerate(DOP853.A[1:], start=1):
-                    slopes[k] = self.closed.variational(0.0, z + h * (row[:k] @ slopes[:k]))
-                z = z + h * (DOP853.B @ slopes)
-        return self._finite(state, z).reshape(directions.shape, order="F")
+        field, time = self.closed.varied_rates, np.zeros(1)
 
-    def _finite(self, state: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """The variations of a state and its variations."""
-        if not np.all(np.isfinite(z)):
+        def march(columns: np.ndarray) -> np.ndarray:
+            z = np.concatenate([state, columns])
+            with np.errstate(over="ignore", invalid="ignore"):
+                for h in steps:
+                    fast = field.stepped(time, z[None], np.array([h]))
+                    z = self._step(z, h) if fast is None else fast[0]
+            return z
+
+        _, columns = self.closed.varied(directions, march)
+        if not np.all(np.isfinite(columns)):
             raise IntegrationError("the variations are not finite", time=0.0, state=np.asarray(state))
-        return z[state.size :]
+        return columns
+
+    def _step(self, z: np.ndarray, h: float) -> np.ndarray:
+        """The state and its variations after a step, without a compiler."""
+        slopes = np.empty((len(DOP853.A), z.size))
+        for k, row in enumerate(DOP853.A):
+            slopes[k] = self.closed.variational(0.0, z + h * (row[:k] @ slopes[:k]))
+        return np.asarray(z + h * (DOP853.B @ slopes))
 
     def disagreement(self, states: np.ndarray) -> float:
         """Largest relative difference at states (k x 2n) between closed form and recursion, its derivative taken by AD.
@@ -147,6 +146,7 @@ class ClosedChain(March):
         for state in states:
             direction = random.normal(0.0, 1.0, state.size)
             wanted = function(state, direction).full().reshape(2, -1)
-            rates = self.closed.variational(0.0, np.concatenate([state, direction])).reshape(2, -1)
+            both = np.concatenate([state, np.tile(direction, self.closed.width)])
+            rates = self.closed.varied_rates.many(np.zeros(1), both[None])[0, : 2 * state.size].reshape(2, -1)
             apart = max(apart, float((np.abs(rates - wanted).max(1) / np.abs(wanted).max(1)).max()))
         return apart

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import trapezoid
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.integrate.dop853 import SECOND, STEPS_PER_PERIOD, ReferenceSettings, Trace, integrate_in
+from orbitfinder.integrate.dop853 import STEPS_PER_PERIOD, ReferenceSettings, Trace, integrate_in
 from orbitfinder.integrate.field import VectorField
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.mechanisms.chain_lagrange import ChainLagrange, chain_lagrange, is_long
@@ -21,6 +21,8 @@ from orbitfinder.orbits.evidence import SAMPLES, Motion, canonical_frame, drifti
 
 PIECES_OF_HALF = 4
 """State-transition matrices in half a period, where each start costs a few short steps with all columns; even"""
+VARIED = ReferenceSettings(relative_tolerance=1e-11, absolute_tolerance=1e-12)
+"""Of variations: nearly eight digits of the multipliers, of which six are asked"""
 LONGEST_PHASE = 0.15
 """Radians of the fastest linear mode in a step: at 20 links the rates close to 2e-13, with 800 steps a period to
 8e-13."""
@@ -43,10 +45,10 @@ def chain_motion(
 ) -> Motion:
     """The `Motion` of a state (2n) of a long chain, its canonical coordinates those of the linear modes.
 
-    The motion is integrated at `settings`, its variations (2n columns) at the second tolerance, which
-    keeps eight digits of the multipliers and saves half the steps. Where the motion found here is at -x(0)
-    after half a period, the equations take the second half from the first: Phi(T) = Phi(T/2)^2. Where it also begins
-    at rest, x(T/2 - t) = (-q, v)(t) is a motion run backwards, and they take the half from a quarter.
+    The motion is integrated at `settings`, its variations (2n columns) at tolerances of their own. Where the motion
+    is at -x(0) after half a period, the equations take the second half from the first: Phi(T) = Phi(T/2)^2.
+    Where it also begins at rest, x(T/2 - t) = (-q, v)(t) is a motion run backwards, and they take the half from a
+    quarter.
     """
     closed, n = chain_lagrange(model), turns.size
     masses = np.diag(closed.coupling)
@@ -78,12 +80,15 @@ def _chain_pieces(
 
     The frames at the two ends of a piece differ; at -x it is that at x, since every entry is even in (q, v) together.
     """
-    modes, found, now = np.kron(np.eye(2), closed.modes), [], state
-    measures = np.concatenate([units, np.ones(modes.size)])
-    for k in range(count):
-        extended = np.concatenate([now, modes.ravel("F")])
-        span = duration * np.array([k, k + 1]) / count
-        end = integrate_in(measures, closed.varied_rates, extended, span, SECOND)[-1]
-        before, now = now, end[: state.size]
-        found.append(closed.carried(before, now, end[state.size :].reshape(modes.shape, order="F")))
-    return found
+    modes, pieces, now = np.kron(np.eye(2), closed.modes), list[np.ndarray](), state
+    measures = np.concatenate([units, np.ones(closed.width * state.size)])
+    for span in duration * np.column_stack([np.arange(count), np.arange(1, count + 1)]) / count:
+
+        def march(columns: np.ndarray, start: np.ndarray = now, span: np.ndarray = span) -> np.ndarray:
+            extended = np.concatenate([start, columns])
+            return np.asarray(integrate_in(measures, closed.varied_rates, extended, span, VARIED)[-1])
+
+        after, columns = closed.varied(modes, march)
+        pieces.append(closed.carried(now, after, columns))
+        now = after
+    return pieces

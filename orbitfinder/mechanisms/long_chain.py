@@ -212,10 +212,12 @@ def multipliers(chain: Chain, first: np.ndarray, last: np.ndarray, period: float
 
 
 def measured(chain: Chain, start: np.ndarray, period: float) -> Orbit:
-    """The Orbit (without certificate) that starts at rest at `start` (n)."""
+    """The Orbit (without certificate) that starts at rest at `start` (n): the second half of its period is the first,
+    reflected, and it closes as well as the first does."""
     problem = chain.problem
-    mesh = chain.mesh(1.0, period, PATH_PHASE, SAMPLES)
-    states = chain.march.refined(_at_rest(start)[0], mesh, np.array([period]))[:: mesh.size // SAMPLES]
+    mesh = chain.mesh(0.5, period, PATH_PHASE, SAMPLES // 2)
+    half = chain.march.refined(_at_rest(start)[0], mesh, np.array([period]))[:: 2 * mesh.size // SAMPLES]
+    states = np.vstack([half[:-1], -half])
     times = np.linspace(0.0, period, SAMPLES + 1)
     apart = chain.march.disagreement(states[: SAMPLES // 4 + 1 : SAMPLES // 16])
     if not apart < AGREEMENT:

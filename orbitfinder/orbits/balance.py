@@ -1,4 +1,4 @@
-"""The method of harmonic balance, for driven motions of many coordinates: as many orders as the motion asks for."""
+"""The method of harmonic balance, for driven and free motions of many coordinates: as many orders as they ask for."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ import numpy as np
 from orbitfinder.continuation.problem import Point, solved
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.residual import Residual
+from orbitfinder.loops.conditions import PHASE, Pin
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.problem import Guess, Problem, at_forcing_period
 from orbitfinder.loops.symmetry import symplectic
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, Solver, full
 from orbitfinder.mechanics.scales import parameter_sizes
 from orbitfinder.orbits.floquet import Floquet, judged
 from orbitfinder.orbits.guesses.linear import linear_response
 from orbitfinder.orbits.guesses.settled import lap
-from orbitfinder.orbits.harmonics import Balanced, Coefficients, Fourier, Pattern, orders
+from orbitfinder.orbits.harmonics import Balanced, Coefficients, Fourier, Pattern, Phase, orders
 from orbitfinder.orbits.hill import exponents
 from orbitfinder.orbits.implicit import SMALL
 from orbitfinder.orbits.measure import action, provenance, recorded
@@ -36,36 +38,64 @@ NAME, SAMPLES = "balance", 256
 
 def refused(problem: Problem) -> str:
     """Why harmonic balance cannot be the method for a problem, or nothing."""
-    model = problem.model
-    if not model.forced:
-        return "nothing drives it"
+    model, named = problem.model, [pin.name for pin in problem.pin]
+    if not model.forced and not (model.conservative and model.rates is None):
+        return "nothing drives it, and it keeps no energy"
     if not model.smooth or model.constraint is not None or not model.scalar or problem.control is not None:
         return "it has impacts, constraints or controls"
     if problem.turns.any() or problem.relative or problem.boundary.maps:
         return "it goes round, or its symmetry makes it a part of a period"
-    if problem.free or problem.constraints or problem.bounds or problem.objective != "nearest" or model.invariants:
-        return "it has invariants, freed parameters, constraints, bounds or an objective"
+    if problem.constraints or problem.bounds or problem.objective != "nearest":
+        return "it has constraints, bounds or an objective"
+    if len(model.invariants) > (not model.forced):
+        return "it has invariants beside the energy of what nothing drives"
+    if model.forced and (len(problem.free), bool(named)) != (len(named), phase_of(problem) is not None):
+        both = [", ".join(names) or "nothing" for names in (problem.free, named)]
+        return f"it frees {both[0]} and pins {both[1]}, and may do so for the phase of a coordinate alone"
+    if problem.free and not model.forced:
+        return "it has freed parameters"
     return ""
 
 
+def phase_of(problem: Problem) -> Phase | None:
+    """The phase that a problem prescribes to a driven motion."""
+    for k, name in enumerate(problem.model.state_names[: problem.model.degrees_of_freedom]):
+        for pin in problem.pin:
+            if pin.name == PHASE + name:
+                return Phase(k, pin.value)
+    return None
+
+
 def begun(problem: Problem, parameter: str, until: float | None = None) -> Point:
-    """The motion of a problem in harmonics with a parameter ("": none) free, on as many orders as it takes.
+    """The motion of a problem in harmonics with a parameter ("": none) free, on as many orders as it takes; of free
+    motions what is pinned, or as wide as the guess.
 
     Raises `ConvergenceError`.
     """
-    equations, guess = Residual(problem.model, parameter, problem.forcing_cycles), problem.guess
-    n, start = equations.size, equations.start
-    size = float(parameter_sizes(problem.model, (parameter,), np.array([start]))[0]) if parameter else 1.0
-    size = max(size, 0.0 if until is None else abs(until - start))
+    model, guess, phase = problem.model, problem.guess, phase_of(problem)
+    n, start = model.degrees_of_freedom, np.asarray(guess.state, float)
+    if model.forced:
+        equations = Residual(model, (*problem.free, parameter), problem.forcing_cycles)
+        values, wanted = equations.start, Pin("", equations.start[-1])
+        sizes = parameter_sizes(model, equations.names, values) if parameter else np.ones(values.size)
+        sizes[-1] = max(sizes[-1], 0.0 if until is None else abs(until - values[-1]))
+    else:
+        phase = Phase(int(np.abs(start[:n]).argmax()))
+        equations, sizes = Residual(model, unfolded=phase.coordinate), np.ones(2)
+        values = sizes * [0.0, 2 * np.pi / guess.period]
+        wanted = next(iter(problem.pin), Pin(model.state_names[phase.coordinate], start[phase.coordinate]))
     failed = ConvergenceError("no guess leads to a motion; give a trajectory near it")
-    for top, (times, states) in product(FIRST, _trajectories(problem.model, guess, n)):
+    for top, (times, states) in product(FIRST, _trajectories(model, guess, n)):
         basis = Fourier(orders(top, equations.odd))
-        balanced = Balanced(Pattern(equations, basis), np.ones(n), size, np.ones(n))
-        motion = np.array([np.interp(basis.times, 2 * np.pi * times / times[-1], q) for q in states.T[:n]])
-        w = Coefficients(np.append((motion @ basis.back.T).ravel(), start))
+        balanced = Balanced(Pattern(equations, basis), np.ones(n), sizes, np.ones(n), phase)
+        angles, motion = 2 * np.pi * times / times[-1], states.T[:n]
+        if not model.forced:  # begins where the coordinate is largest
+            angles = angles - angles[np.abs(motion[phase.coordinate]).argmax()] if phase else angles
+        motion = np.array([np.interp(basis.times, angles[:-1], q[:-1], period=2 * np.pi) for q in motion])
+        w = Coefficients(np.concatenate([(motion @ basis.back.T).ravel(), values]))
         balanced = balanced.measured(w)
         try:
-            return _settled(balanced, _near(balanced, w), start)
+            return _settled(balanced, _near(balanced, w, wanted), wanted)
         except ConvergenceError as error:
             failed = error
     raise failed
@@ -78,18 +108,23 @@ def _trajectories(model: Model, guess: Guess, n: int) -> Iterator[tuple[np.ndarr
     elif n <= SMALL and np.any(guess.state):
         with suppress(ConvergenceError, IntegrationError):
             yield cast(Any, lap(model, guess).trajectory)
+    if not model.forced:
+        turn, (place, rate) = np.linspace(0.0, 2 * np.pi, SAMPLES + 1), np.split(np.asarray(guess.state, float), 2)
+        swung = np.outer(np.cos(turn), place) + np.outer(np.sin(turn), rate * guess.period / (2 * np.pi))
+        yield turn, swung
+        return
     with suppress(InputError):
         times, states = cast(Any, linear_response(model).trajectory)
         yield from ((times, share * states) for share in SHARES)
 
 
-def _near(balanced: Balanced, w: Coefficients) -> Coefficients:
-    """A guess brought near by whole Newton steps at its parameter, halved where they leave more."""
-    row = balanced.aim(w, "", balanced.equations.start)[1][None]
+def _near(balanced: Balanced, w: Coefficients, wanted: Pin) -> Coefficients:
+    """A guess brought near by whole Newton steps at what is wanted, halved where they leave more."""
 
     def linearised(w: Coefficients) -> tuple[np.ndarray, Solver]:
         rows, linear = balanced.linearise(w)
-        return np.append(rows, 0.0), linear.closed(row)
+        missed, row = balanced.aim(w, wanted.name, wanted.value)
+        return np.append(rows, missed), linear.closed(row[None])
 
     settings = Settings(floor=1e-9, round_off=1e-9, converged=1e-9, most_evaluations=40, halving=True)
     near = full(w, linearised, settings, lambda w, step: w.moved(step))
@@ -98,10 +133,10 @@ def _near(balanced: Balanced, w: Coefficients) -> Coefficients:
     return near.w
 
 
-def _settled(balanced: Balanced, w: Coefficients, value: float) -> Point:
-    """The motion at a value of the parameter, its tangent along what the parameter moves."""
+def _settled(balanced: Balanced, w: Coefficients, wanted: Pin) -> Point:
+    """The motion at what is wanted, its tangent along what that moves."""
     while True:
-        point = solved(balanced, w, lambda w: balanced.aim(w, "", value))  # noqa: B023 - of this round
+        point = solved(balanced, w, lambda w: balanced.aim(w, wanted.name, wanted.value))  # noqa: B023 - of this round
         renewed = balanced.measured(point.w)
         if renewed.enough(point.w):
             return Point(renewed, point.w, point.tangent).sharp
@@ -110,17 +145,20 @@ def _settled(balanced: Balanced, w: Coefficients, value: float) -> Point:
 
 def states_of(point: Point, shares: np.ndarray) -> np.ndarray:
     """States (s x 2n, or d) at shares of the period."""
-    balanced, equations = point.problem, point.problem.equations
+    balanced: Balanced = point.problem
+    equations = balanced.equations
     motion = balanced.basis.motion(balanced.coefficients(point.w), 2 * np.pi * shares)
-    pace = equations.pace(float(point.w.vector[-1]))
+    pace = equations.pace(balanced.values(point.w))
     return np.vstack(motion[:1] if equations.model.rates is not None else [motion[0], pace * motion[1]]).T
 
 
 def balanced(problem: Problem, settings: SolveSettings, report: Callback | None, began: float) -> tuple[Orbit, Model]:
-    """The orbit of a driven system, by harmonic balance."""
+    """The orbit of a driven or a conservative system, by harmonic balance."""
     problem = at_forcing_period(problem)
     point = begun(problem, "")
-    model, period, highest = problem.model, problem.guess.period, max(point.problem.basis.orders)
+    highest, (values, period) = max(point.problem.basis.orders), freed(point)
+    model = with_parameters(problem.model, values)
+    problem = replace(problem, model=model)
     if report:
         report(Progress(f"harmonic balance to order {highest}", 0, 0.0, period, 0.0))
     shares = np.linspace(0.0, 1.0, samples_of(point) + 1)
@@ -133,7 +171,16 @@ def balanced(problem: Problem, settings: SolveSettings, report: Callback | None,
                      floquet)  # fmt: skip
     said = provenance(problem, settings, began) | {"method": NAME, "orders": list(point.problem.basis.orders)}
     said |= {"undecided": about.why} if about.why else {}
+    said |= {"free": values} if values else {}
     return replace(orbit, provenance=said), model
+
+
+def freed(point: Point) -> tuple[dict[str, float], float]:
+    """What is free by name, and the period in s."""
+    balanced: Balanced = point.problem
+    values = balanced.values(point.w)
+    named = {name: float(x) for name, x in zip(balanced.equations.names, values, strict=False) if name}
+    return named, 2 * np.pi / balanced.equations.pace(values)
 
 
 def samples_of(point: Point) -> int:

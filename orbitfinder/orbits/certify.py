@@ -8,7 +8,6 @@ from math import gcd
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime.rooms import filled
@@ -355,22 +354,33 @@ def _smooth_checks(trial: Trial) -> Iterator[Check | None]:
 
 
 def _large_checks(trial: Trial) -> Iterator[Check | None]:
-    """The checks of a driven structure of many coordinates: its motion by implicit steps, from state and period."""
+    """The checks of a structure of many coordinates: its motion by implicit steps, from state and period."""
     seen, orbit, model = trial.seen, trial.orbit, trial.model
     known = min(KNOWN * trial.second, LEAST_KNOWN)
     yield from trial.closing("Gauss' steps on the accelerations; ", second="by fewer steps, elsewhere", known=known)
     yield _forcing_check(orbit, model)
-    yield _Nearby(model, seen).time_dependence()
+    near, gap = _Nearby(model, seen), seen.closes.gap
+    yield near.time_dependence()
+    yield from near.invariants()
     yield trial.moving()
     kinetic, potential = energies(model, seen.states)
-    size = size_of(kinetic.max() + np.ptp(potential))
+    size, total = size_of(kinetic.max() + np.ptp(potential)), kinetic + potential
+    if model.conservative:
+        shaken = seen.states * (1 + EPSILON * np.random.default_rng(0).uniform(-4, 4, seen.states.shape))
+        rounded = 4 * float(np.abs(sum(energies(model, shaken)) - total).max()) / size  # of what is stiff
+        yield at_most("energy_drift", np.ptp(total) / size, trial.allowed.energy_drift + gap + rounded,
+                      "relative to the energy exchanged")  # fmt: skip
+        yield at_most("trivial_multipliers", seen.tour.trivial, trial.allowed.trivial, "flow and gradients are kept")
+        yield trial.unfolding(10 * gap, always=True)
     yield trial.energy(size)
     yield trial.number("action", size_of(max(abs(seen.action), 1e-3 * size * orbit.period)), trial.room)
     yield from trial.linear(trial.allowed.multipliers)
     yield _same_symmetry(orbit, seen, model)
     yield trial.record()
     for name, times, states, share in _pictured(orbit):
-        there = CubicSpline(seen.times, seen.states)(times)
+        waves = np.fft.rfft(seen.states[:-1], axis=0) / (len(seen.states) - 1)
+        turn = 2j * np.pi / orbit.period * np.outer(times, np.arange(len(waves)))
+        there = (2 * np.exp(turn) @ waves - waves[0]).real
         yield trial.shown(name, np.abs((there - states) / seen.extents).max(), share, 1.0)
     yield from expected_checks(orbit, model)
 
@@ -575,7 +585,10 @@ def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
 
 
 def _undecided(orbit: Orbit, model: Model) -> str:
-    """The verdict on a point of a dissipative family whose recorded error bars decide, else ""."""
+    """The verdict on a point of a dissipative family whose recorded error bars decide, and where none is claimed, of
+    many coordinates; else ""."""
+    if orbit.stability == "undecided" and orbit.state.size > 2 * SMALL:
+        return orbit.stability
     if not isinstance(orbit, FamilyPoint) or orbit.multiplier_errors.shape != orbit.floquet_multipliers.shape:
         return ""
     if symplectic(model):

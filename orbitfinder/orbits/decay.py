@@ -38,7 +38,7 @@ class Beside:
     def __init__(self, problem: Balanced, w: Coefficients) -> None:
         equations, moving = problem.equations, problem.sampled(w)[1]
         self.n, self.count, self.varies = equations.size, moving.shape[1], equations.varying
-        fixed, mean = equations.fixed(float(w.vector[-1])), moving.mean(axis=1)
+        fixed, mean = equations.fixed(problem.values(w)), moving.mean(axis=1)
         self.stiffness, self.damping, self.mass = (
             self.matrix(kind, mean) + self.matrix(kind, fixed, equations.steady) for kind in range(3)
         )

@@ -1,10 +1,13 @@
-"""Driven motions as a continuation problem by harmonic balance, for large systems: sparse from end to end.
+"""Motions as a continuation problem by harmonic balance, for large systems: sparse from end to end.
 
 With tau = omega t a turn of the motion, q(tau) = sum_k c_k b_k(tau) in cosines and sines b_k of some orders, the rows
 are <b_l, G> = 0 (Galerkin) of the residual G (`integrate.residual`), by sums over equal times (AFT). Entries of the
 slopes of G that are the same at all states cost a 2 x 2 block an order, the others a full block. Where G(tau + pi, -q,
--q', -q'') = -G odd orders and half of the times suffice. Sources: T. Cameron, J. Griffin, J. Appl. Mech. 56 (1989)
-149-154; M. Krack, J. Gross, Harmonic Balance for Nonlinear Vibration Problems (2019).
+-q', -q'') = -G odd orders and half of the times suffice. A phase that is prescribed is a row more, with an unknown of
+its own: of free motions of a conservative system the unfolding, which comes back as 0, as their rows hold <q', G> = 0;
+of driven ones a parameter, which makes them the backbone of a resonance where the phase is -pi/2. Sources: T. Cameron,
+J. Griffin, J. Appl. Mech. 56 (1989) 149-154; M. Krack, J. Gross, Harmonic Balance for Nonlinear Vibration Problems
+(2019).
 """
 
 from __future__ import annotations
@@ -35,7 +38,7 @@ order that is tried"""
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """Coefficients of all coordinates in their order, and the parameter last."""
+    """Coefficients of all coordinates in their order, then what else is unknown, the parameter last."""
 
     vector: np.ndarray
     known: dict[str, Any] = field(default_factory=dict)
@@ -119,7 +122,8 @@ class Pattern:
 
 
 class Condensed:
-    """The derivatives: a sparse matrix by the coefficients and a column by the parameter, in units."""
+    """The derivatives: a sparse matrix by the coefficients and a column by the parameter, in units; of free motions a
+    matrix by all unknowns, whose last row is an amplitude, and a column by that."""
 
     def __init__(self, matrix: Any, column: np.ndarray, sizes: np.ndarray) -> None:
         self.matrix, self.column, self.sizes = matrix, column, sizes
@@ -142,7 +146,8 @@ class Condensed:
 
     def closed(self, rows: np.ndarray) -> Solver:
         """See `continuation.problem.Linear`."""
-        (aim,) = rows * self.sizes
+        aim = np.zeros(self.column.size + 1)
+        aim[: self.sizes.size] = rows[0] * self.sizes
         row, corner = aim[:-1], aim[-1]
         across = self.factors.solve(self.column)
         pivot = corner - row @ across
@@ -155,23 +160,39 @@ class Condensed:
             return np.append(inside - last * across, last)
 
         def solve(right: np.ndarray) -> np.ndarray:
+            right = np.insert(right, -1, np.zeros(aim.size - right.size))
             answer = once(right)
             for _ in range(REFINED):
                 left = np.append(self.matrix @ answer[:-1] + self.column * answer[-1], aim @ answer)
                 answer = answer + once(right - left)
-            return np.asarray(-answer * self.sizes)
+            return np.asarray(-answer[: self.sizes.size] * self.sizes)
 
         return solve
 
 
+@dataclass(frozen=True)
+class Phase:
+    """The first harmonic of a coordinate is A cos(tau + angle)."""
+
+    coordinate: int
+    angle: float = 0.0
+
+    def row(self, basis: Fourier) -> tuple[int, np.ndarray]:
+        """What vanishes where that is so, as slopes by its two coefficients, and where they begin."""
+        begin = self.coordinate * basis.count + int(basis.places[basis.orders.index(1)])
+        return begin, np.array([np.sin(self.angle), np.cos(self.angle)])
+
+
 @dataclass(frozen=True, eq=False)
 class Balanced:
-    """The problem: sizes of the coordinates (n) and of the parameter, what rows (n) are measured in."""
+    """The problem: sizes of the coordinates (n) and of what else is free, what rows (n) are measured in, and the phase
+    that is prescribed."""
 
     pattern: Pattern
     sizes: np.ndarray
-    p_size: float
+    p_sizes: np.ndarray
     row_sizes: np.ndarray
+    phase: Phase | None = None
     settings: Settings = field(
         default_factory=lambda: Settings(
             floor=1e-17, round_off=1e-11, converged=1e-11, most_evaluations=20, contraction=0.3
@@ -191,12 +212,23 @@ class Balanced:
 
     def coefficients(self, w: Coefficients) -> np.ndarray:
         """Of each coordinate (n x K)."""
-        return w.vector[:-1].reshape(-1, self.basis.count)
+        return w.vector[: self.pattern.whole].reshape(-1, self.basis.count)
+
+    def values(self, w: Coefficients) -> np.ndarray:
+        """Of what else is free."""
+        return w.vector[self.pattern.whole :]
 
     def rows(self, w: Coefficients) -> np.ndarray:
         """F(w)."""
-        motion, value = self.basis.motion(self.coefficients(w)), float(w.vector[-1])
-        return self._measured(self.equations.rows(self.basis.times, motion, value))
+        motion = self.basis.motion(self.coefficients(w))
+        return self._closed(w, self._measured(self.equations.rows(self.basis.times, motion, self.values(w))))
+
+    def _closed(self, w: Coefficients, rows: np.ndarray) -> np.ndarray:
+        """With the row of the phase."""
+        if self.phase is None:
+            return rows
+        begin, row = self.phase.row(self.basis)
+        return np.append(rows, row @ w.vector[begin : begin + 2] / self.sizes[self.phase.coordinate])
 
     def _measured(self, samples: np.ndarray) -> np.ndarray:
         if not np.isfinite(samples).all():
@@ -207,35 +239,44 @@ class Balanced:
         """F(w) and its derivatives, remembered with w."""
         problem, *answer = w.known.get("linear", (None,))
         if problem is not self:
-            rows, matrix, column = self.slopes(w)
+            rows, matrix, *columns = self.slopes(w)
             count = self.basis.count
             across, down = np.repeat(self.sizes, count), np.repeat(1.0 / self.row_sizes, count)
             data = matrix.data * down[matrix.indices] * np.repeat(across, np.diff(matrix.indptr))
             scaled = sparse.csc_matrix((data, matrix.indices, matrix.indptr), shape=matrix.shape)
-            answer = [rows, Condensed(scaled, column * self.p_size, np.append(across, self.p_size))]
+            columns = [column * size for column, size in zip(columns, self.p_sizes, strict=True)]
+            if self.phase is not None:
+                (begin, row), within = self.phase.row(self.basis), 1 if self.equations.names else 2
+                last = np.vstack([row, row[::-1]])[:within]
+                i, j = np.indices(last.shape).reshape(2, -1)
+                below = sparse.coo_array((last.ravel(), (i, begin + j)), shape=(within, self.pattern.whole))
+                beside = np.column_stack(columns[:within])
+                scaled = sparse.block_array([[scaled, beside], [below, None]], format="csc")
+                columns[-1] = np.append(columns[-1], 0.0) if within == 1 else -np.eye(scaled.shape[0])[-1]
+            answer = [self._closed(w, rows), Condensed(scaled, columns[-1], np.append(across, self.p_sizes))]
             w.known["linear"] = (self, *answer)
         return answer[0], answer[1]
 
-    def slopes(self, w: Coefficients) -> tuple[np.ndarray, Any, np.ndarray]:
-        """F(w), the sparse matrix of <b_l, dG/dc_k> in its own units, and F's change with the parameter."""
-        rows, varying, by_p = self.sampled(w)
+    def slopes(self, w: Coefficients) -> list[Any]:
+        """<b_l, G>, the sparse matrix of <b_l, dG/dc_k> in its own units, and changes with what else is free."""
+        rows, varying, *others = self.sampled(w)
         pattern, matrix = w.known.get("matrix", (None, None))
         if pattern is not self.pattern:
-            matrix = self.pattern.matrix(self.equations.fixed(float(w.vector[-1])), varying)
+            matrix = self.pattern.matrix(self.equations.fixed(self.values(w)), varying)
             w.known["matrix"] = self.pattern, matrix
-        return self._measured(rows), matrix, self._measured(by_p)
+        return [self._measured(rows), matrix, *map(self._measured, others)]
 
     def sampled(self, w: Coefficients) -> list[np.ndarray]:
         """What is known of G at the times, remembered with w."""
         basis, samples = w.known.get("sampled", (None, []))
         if basis is not self.basis:
             motion = self.basis.motion(self.coefficients(w))
-            samples = self.equations.over(self.basis.times, motion, float(w.vector[-1]))
+            samples = self.equations.over(self.basis.times, motion, self.values(w))
             w.known["sampled"] = self.basis, samples
         return samples  # type: ignore[no-any-return]
 
     def phases(self, w: Coefficients) -> np.ndarray:
-        """None: the drive has the clock."""
+        """None: the drive has the clock, or a row."""
         return np.zeros((0, w.vector.size))
 
     def metric(self, w: Coefficients) -> np.ndarray:  # noqa: ARG002 - of the protocol
@@ -246,17 +287,36 @@ class Balanced:
     def _metric(self) -> np.ndarray:
         squares = (self.basis.values**2).mean(axis=0)
         profile = np.outer(1.0 / self.sizes**2, squares).ravel() / self.sizes.size
-        return np.append(profile, self.p_size**-2.0)
+        squares = self.p_sizes**-2.0
+        if not self.equations.names:
+            squares[0] = 0.0  # of the unfolding
+        return np.concatenate([profile, squares])
 
-    def value(self, w: Coefficients, name: str) -> float:  # noqa: ARG002 - of the protocol
-        """Of the parameter."""
-        return float(w.vector[-1])
+    def value(self, w: Coefficients, name: str) -> float:
+        """Of the parameter, or of free motions a quantity of their state at tau = 0 or the period."""
+        return self._quantity(w, name)[0]
 
-    def aim(self, w: Coefficients, name: str, value: float) -> tuple[float, np.ndarray]:  # noqa: ARG002 - of the protocol
-        """The parameter at a value, in its unit."""
-        row = np.zeros(w.vector.size)
-        row[-1] = 1.0 / self.p_size
-        return (float(w.vector[-1]) - value) / self.p_size, row
+    def aim(self, w: Coefficients, name: str, value: float) -> tuple[float, np.ndarray]:
+        """The same at a value, in what it changes by where a coordinate does by its size."""
+        known, row = self._quantity(w, name)
+        size = float(np.abs(row * np.append(np.repeat(self.sizes, self.basis.count), self.p_sizes)).max())
+        return (known - value) / size, row / size
+
+    def _quantity(self, w: Coefficients, name: str) -> tuple[float, np.ndarray]:
+        """A quantity and its slopes over w."""
+        row, equations = np.zeros(w.vector.size), self.equations
+        row[-1], pace = 1.0, float(w.vector[-1])
+        if equations.names:
+            return pace, row
+        if name == "period":
+            return 2 * np.pi / pace, -2 * np.pi / pace**2 * row
+        q, rate = (part[:, 0] for part in self.basis.motion(self.coefficients(w), np.zeros(1))[:2])
+        known, by_state = equations.at_start(name, np.append(q, pace * rate))
+        by_place, by_rate = by_state.reshape(2, -1, 1)
+        values = [self.basis.at(np.zeros(1))[0] @ power.T for power in self.basis.powers[:2]]
+        row[: self.pattern.whole] = (by_place * values[0] + pace * by_rate * values[1]).ravel()
+        row[-1] = float(by_rate[:, 0] @ rate)
+        return known, row
 
     def at(self, w: Coefficients, tangent: np.ndarray) -> tuple[Self, Coefficients, np.ndarray]:
         """With the sizes of an accepted w, and as many orders as it takes. Raises `ConvergenceError`."""
@@ -276,7 +336,7 @@ class Balanced:
         if orders not in known:
             known[orders] = Pattern(self.equations, Fourier(orders))
         w = Coefficients(vector)
-        if vector.size != known[orders].whole + 1:
+        if vector.size != known[orders].whole + self.p_sizes.size:
             raise ValueError("coefficients of another size")
         return replace(self, pattern=known[orders]).measured(w), w
 
@@ -285,7 +345,7 @@ class Balanced:
         rows, linear = self.linearise(w)
         left, _ = linear.kernel()
         lost = np.finfo(float).eps * np.linalg.norm(left) + abs(left @ rows)
-        return float(self.p_size * lost / abs(left @ linear.column))
+        return float(self.p_sizes[-1] * lost / abs(left @ linear.column))
 
     def enough(self, w: Coefficients) -> bool:
         """Whether the orders are. Raises `ConvergenceError` where none that are tried would be."""
@@ -302,20 +362,23 @@ class Balanced:
         sizes = np.sqrt((coefficients**2).sum(axis=1))
         sizes = np.maximum(sizes, LEAST * sizes.max()) if sizes.any() else np.ones_like(sizes)
         matrix = abs(self.slopes(w)[1]) @ np.repeat(sizes, self.basis.count)
-        rows = matrix.reshape(-1, self.basis.count).max(axis=1)
-        return replace(self, sizes=sizes, row_sizes=nonzero(rows))
+        rows = nonzero(matrix.reshape(-1, self.basis.count).max(axis=1))
+        if not self.equations.names:
+            j = self.equations.unfolded
+            self = replace(self, p_sizes=np.array([rows[j] / sizes[j], self.p_sizes[-1]]))
+        return replace(self, sizes=sizes, row_sizes=rows)
 
     def carried(self, w: Coefficients, onto: Coefficients) -> Coefficients:  # noqa: ARG002 - of the protocol
         """w, or a direction, of as many orders or fewer on its own."""
         return Coefficients(self._padded(w.vector))
 
     def _padded(self, vector: np.ndarray) -> np.ndarray:
-        if vector.size == self.pattern.whole + 1:
+        if vector.size == self.pattern.whole + self.p_sizes.size:
             return vector
-        old = vector[:-1].reshape(self.equations.size, -1)
-        wide = np.zeros((self.equations.size, self.basis.count))
+        old, last = np.split(vector, [-self.p_sizes.size])
+        wide, old = np.zeros((self.equations.size, self.basis.count)), old.reshape(self.equations.size, -1)
         wide[:, : old.shape[1]] = old
-        return np.append(wide.ravel(), vector[-1])
+        return np.append(wide.ravel(), last)
 
     def left(self, w: Coefficients) -> tuple[float, float]:
         """About the largest coefficient of the next two orders, and what round-off makes there, in the sizes of the
@@ -326,10 +389,10 @@ class Balanced:
             known["next"] = Pattern(self.equations, Fourier(orders(top + 4 if odd else top + 2, odd)[-2:]))
         after: Pattern = known["next"]
         motion = self.basis.motion(self.coefficients(w), after.basis.times)
-        rows, varying, _ = self.equations.over(after.basis.times, motion, float(w.vector[-1]))
+        rows, varying, *_ = self.equations.over(after.basis.times, motion, self.values(w))
         steady = np.broadcast_to(varying.mean(axis=1, keepdims=True), varying.shape)
         try:
-            factors = splu(after.matrix(self.equations.fixed(float(w.vector[-1])), steady))
+            factors = splu(after.matrix(self.equations.fixed(self.values(w)), steady))
         except RuntimeError:
             return np.inf, 0.0
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (self.equations.size, after.basis.count))

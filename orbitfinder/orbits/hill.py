@@ -28,6 +28,7 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh, splu
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.collocation import tableau
 from orbitfinder.orbits.decay import Beside, decay, extreme
+from orbitfinder.orbits.floquet import reduce_monodromy
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
 from orbitfinder.orbits.implicit import SMALL
 
@@ -78,6 +79,8 @@ def exponents(problem: Balanced, w: Coefficients) -> Exponents:
         if whole is None:
             w.known["exponents"] = _few(problem, w)
         else:
+            if not problem.equations.names:
+                whole = _without_trivial(problem, w, whole)
             with np.errstate(divide="ignore"):
                 picked = np.log(np.linalg.eigvals(whole).astype(complex)) / (2 * np.pi)
             w.known["exponents"] = Exponents(picked[np.argsort(-picked.real)], -np.inf)
@@ -89,6 +92,14 @@ def proved(problem: Balanced, w: Coefficients) -> bool:
     return problem.equations.size > MOST_MODES and not exponents(problem, w).values.size
 
 
+def _without_trivial(problem: Balanced, w: Coefficients, whole: np.ndarray) -> np.ndarray:
+    """The monodromy of a free motion on its level of energy, modulo its own direction."""
+    motion, equations = problem.basis.motion(problem.coefficients(w), np.zeros(1)), problem.equations
+    pace = np.repeat([1.0, equations.pace(problem.values(w))], equations.size)
+    state, along = (pace * np.concatenate(pair)[:, 0] for pair in (motion[:2], motion[1:]))
+    return reduce_monodromy(whole, (pace * equations.at_start(equations.level, state)[1])[None], (along / pace)[None])
+
+
 def nearest(problem: Balanced, w: Coefficients) -> complex:
     """The exponent nearest to 0 among the orders themselves: 0 at a fold."""
     values = _about(problem, w, 0j, SOUGHT)[0]
@@ -97,6 +108,8 @@ def nearest(problem: Balanced, w: Coefficients) -> complex:
 
 def _few(problem: Balanced, w: Coefficients) -> Exponents:
     """Those near what may grow."""
+    if not problem.equations.names:
+        return Exponents(np.zeros(0, complex), np.inf, "nothing damps it, and averaging of first order bounds nothing")
     many = problem.equations.size > MOST_MODES
     why = ""
     if many:
@@ -216,7 +229,7 @@ def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarra
 
 def _about(problem: Balanced, w: Coefficients, shift: complex, count: int) -> tuple[np.ndarray, float]:
     """So many exponents about a shift, and the radius of the disc in which there are no others."""
-    varying, fixed = problem.sampled(w)[1], problem.equations.fixed(float(w.vector[-1]))
+    varying, fixed = problem.sampled(w)[1], problem.equations.fixed(problem.values(w))
     a, b, c = (pattern.matrix(fixed, varying) for pattern in _shifted(problem, shift))
     try:
         factors = splu(a)
@@ -252,9 +265,9 @@ def _shifted(problem: Balanced, shift: complex) -> list[Pattern]:
 
 
 def monodromy(problem: Balanced, w: Coefficients) -> np.ndarray | None:
-    """Of (u, u') over tau = 0 to 2 pi, by Gauss' steps of order eight, all at once; None of a motion that is stiff."""
+    """Of (u, u') over tau = 0 to 2 pi, by Gauss' steps of order twelve, all at once; None of a motion that is stiff."""
     first = _rates(problem, w, np.zeros(1))[0]
-    size, rule = len(first), tableau(4, "legendre")
+    size, rule = len(first), tableau(6, "legendre")
     steps = 1 << int(np.ceil(np.log2(2 * np.pi * max(1.0, float(np.abs(np.linalg.eigvals(first)).max())) / STEP)))
     if steps > MOST_STEPS:
         return None
@@ -273,7 +286,7 @@ def monodromy(problem: Balanced, w: Coefficients) -> np.ndarray | None:
 def _rates(problem: Balanced, w: Coefficients, times: np.ndarray) -> np.ndarray:
     """The matrices (s x d x d) of the linearised equations at times (rad), d/dtau of (u, u')."""
     n, motion = problem.equations.size, problem.basis.motion(problem.coefficients(w), times)
-    slopes = problem.equations.slopes(times, motion, float(w.vector[-1]))
+    slopes = problem.equations.slopes(times, motion, problem.values(w))
     if not slopes[2].any():  # first order
         return np.asarray(-np.linalg.solve(slopes[1], slopes[0]))
     steady = not np.any(problem.equations.varying[:, 2] == 2)

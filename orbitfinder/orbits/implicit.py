@@ -1,4 +1,4 @@
-"""Motions of large driven structures by steps that no fast mode limits: Gauss' method on the accelerations as given.
+"""Motions of large structures by steps that no fast mode limits: Gauss' method on the accelerations as given.
 
 With stages a_i (accelerations, n each) of a step h from (q, v), t_i = t + c_i h and A the matrix of the method,
 
@@ -12,6 +12,7 @@ Differential Equations II (1996), sections IV.5, IV.8.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, cast
 
@@ -22,16 +23,17 @@ from scipy.sparse.linalg import splu
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.collocation import tableau
-from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.field import rates_of, vector_field
 from orbitfinder.integrate.residual import Residual
-from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.loops.symmetry import symplectic
+from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.closure import Closure, closes
 from orbitfinder.orbits.decay import Decay, decay
 from orbitfinder.orbits.evidence import Recomputed, Tour
-from orbitfinder.orbits.floquet import Floquet, judged
+from orbitfinder.orbits.floquet import Floquet, analyse
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Fourier, Pattern, orders
 from orbitfinder.orbits.measure import action
 
@@ -48,12 +50,12 @@ TOLD, HIGHEST = 1e-10, 48
 
 
 class Implicit:
-    """The motions of a mechanical Model with a drive, from a state for a period, by its equations (at a `value` of what
+    """The motions of a mechanical Model, from a state for a period, by its equations (at `values` of what
     is free there)."""
 
-    def __init__(self, model: Model, residual: Residual, value: float = 0.0) -> None:
-        self.residual, self.value = residual, value
-        self.many, self.pace = rates_of(vector_field(accelerations(model)))[0], residual.pace(value)
+    def __init__(self, model: Model, residual: Residual, values: np.ndarray) -> None:
+        self.residual, self.values = residual, values
+        self.many, self.pace = rates_of(vector_field(accelerations(model)))[0], residual.pace(values)
         rule, n = tableau(STAGES, "legendre"), self.residual.size
         self.places, self.inner, self.weights = rule.points, rule.inner, rule.weights
         values, vectors = np.linalg.eig(self.inner)
@@ -67,8 +69,8 @@ class Implicit:
     def _slopes(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """dG/dq, dG/dv, dG/da (k x s, by `table`) at times (s) and n x s of each."""
         motion = [q, v / self.pace, a / self.pace**2]
-        varying = self.residual.over(self.pace * times, motion, self.value)[1]
-        fixed = np.broadcast_to(self.residual.fixed(self.value)[:, None], (len(self.residual.steady), times.size))
+        varying = self.residual.over(self.pace * times, motion, self.values)[1]
+        fixed = np.broadcast_to(self.residual.fixed(self.values)[:, None], (len(self.residual.steady), times.size))
         return np.concatenate([varying, fixed]) / self.pace ** self.table[:, 2:]
 
     def _stepped(
@@ -172,8 +174,8 @@ class Implicit:
         parts = 2 * np.stack([harmonics.real, -harmonics.imag], axis=2)[:, 1 : top + 1]
         vector = np.hstack([harmonics[:, :1].real, parts.reshape(self.residual.size, -1)]).ravel()
         ones, basis = np.ones(self.residual.size), Fourier(orders(top, False))
-        problem = Balanced(Pattern(self.residual, basis), ones, 1.0, ones)
-        return decay(problem, Coefficients(np.append(vector, self.value)))
+        problem = Balanced(Pattern(self.residual, basis), ones, np.ones(self.values.size), ones)
+        return decay(problem, Coefficients(np.concatenate([vector, self.values])))
 
     @cached_property
     def _ahead(self) -> np.ndarray:
@@ -205,9 +207,12 @@ class Implicit:
 
 
 def suits(model: Model) -> bool:
-    """Whether a model's motions are certified so: driven ones of many coordinates, which may be stiff."""
-    plain = model.smooth and model.scalar and model.constraint is None and model.rates is None and not model.invariants
-    return bool(plain and model.forced and model.degrees_of_freedom > SMALL)
+    """Whether a model's motions are certified so: driven and free ones of many coordinates, which may be stiff, but of
+    chains, whose masses are full matrices."""
+    plain = model.smooth and model.scalar and model.constraint is None and model.rates is None
+    alone = not model.invariants if model.forced else model.conservative and len(model.invariants) == 1
+    large = model.degrees_of_freedom > SMALL and not system_kind(model.system).pendulum
+    return bool(plain and alone and large)
 
 
 def gathered(model: Model, state: np.ndarray, period: float, damped: bool = False) -> tuple[Recomputed, float]:
@@ -217,25 +222,30 @@ def gathered(model: Model, state: np.ndarray, period: float, damped: bool = Fals
     Of what is said to be `damped` an energy is asked first. Where it tells, no variation is carried: no multipliers are
     known, the distance to the true orbit is the energy's bound, and A is taken for the least that it can be.
     """
-    motion, n = Implicit(model, Residual(model, "", model.forcing_cycles(period))), model.degrees_of_freedom
+    residual, n = Residual(model, cycles=model.forcing_cycles(period)), model.degrees_of_freedom
+    motion = Implicit(model, residual, residual.start if model.forced else np.array([0.0, 2 * np.pi / period]))
     rough = motion.path(state, period, STEPS, np.abs(state) + np.abs(state).max() + SETTLED)[0]
     units = extents_of(model, rough, period)
     steps = motion.steps(state, period)
     states = motion.path(state, period, 2 * steps, units)[0]
     proof = motion.decay(states) if damped else Decay(0.0)
     coarse, pieces = motion.path(state, period, steps, units, None if proof.rate > 0 else np.eye(2 * n))
-    missed, none, sizes = (states[-1] - states[0]) / units, np.zeros((0, 2 * n)), np.abs(states / units)
+    missed, kept, sizes = (states[-1] - states[0]) / units, np.zeros((0, 2 * n)), np.abs(states / units)
+    flow, rate, conservative = kept, None, symplectic(model)
+    if not model.forced:
+        flow, kept = motion.many(np.zeros(1), states[:1]) / units, invariant_gradients(model)(states[0]).full() * units
+        rate = flow[0] * period
     if proof.rate > 0:
         paces, gap, grown = np.repeat([1.0, motion.pace], n), float(np.abs(missed).max()), max(float(sizes.max()), 1.0)
         off = proof.distance((states[-1] - states[0]) / paces, units / paces)
         closure, scaled = Closure(gap, grown, off, (gap, grown)), []
-        floquet = Floquet(np.zeros(0, complex), 0.0, none, "asymptotically stable")
+        floquet = Floquet(np.zeros(0, complex), 0.0, kept, "asymptotically stable")
     else:
         scaled = [piece * units / units[:, None] for piece in pieces]
-        closure = closes(missed, scaled, states / units, None)
-    loop = Tour(closure, scaled, none, none, False, units, np.eye(2 * n))
+        closure = closes(missed, scaled, states / units, rate, kept)
+    loop = Tour(closure, scaled, kept, flow, conservative, units, np.eye(2 * n))
     if not proof.rate > 0:
-        floquet = judged(np.linalg.eigvals(loop.map()).astype(complex), False)
+        floquet = analyse(loop.map(), conservative)
     times = np.linspace(0.0, period, len(states))
     seen = Recomputed(
         times, states, units, loop, float(np.abs(states[-1] - states[0]).max()), action(model, times, states),
@@ -245,26 +255,29 @@ def gathered(model: Model, state: np.ndarray, period: float, damped: bool = Fals
 
 
 class ImplicitCheck:
-    """The closure of orbits of a large structure by `Implicit`, at values of a parameter."""
+    """The closure of orbits of a large structure by `Implicit`, at values of its parameters."""
 
-    def __init__(self, model: Model, name: str, cycles: int = 1) -> None:
-        self.model, self.name, self.cycles, self._residual = model, name, cycles, Residual(model, name, cycles)
+    def __init__(self, model: Model, names: tuple[str, ...], cycles: int = 1) -> None:
+        self.model, self.cycles, self._residual = model, cycles, Residual(model, names, cycles)
 
-    def _at(self, value: float) -> Implicit:
-        return Implicit(with_parameters(self.model, {self.name: value}), self._residual, value)
+    def _at(self, free: Mapping[str, float], period: float = 1.0) -> Implicit:
+        values = np.array([free[name] for name in self._residual.names] or [0.0, 2 * np.pi / period])
+        return Implicit(with_parameters(self.model, free), self._residual, values)
 
-    def period(self, value: float) -> float:
+    def period(self, free: Mapping[str, float]) -> float:
         """Of the motions there."""
-        return 2 * float(np.pi) / self._residual.pace(value)
+        return 2 * float(np.pi) / self._at(free).pace
 
-    def __call__(self, state: np.ndarray, period: float, value: float, units: np.ndarray) -> float:
+    def __call__(self, state: np.ndarray, period: float, free: Mapping[str, float], units: np.ndarray) -> float:
         """The largest gap after a period, in `units` (2n). Raises `IntegrationError`."""
-        path = self._at(value).path(state, period, STEPS, units)[0]
+        path = self._at(free, period).path(state, period, STEPS, units)[0]
         return float(np.abs((path[-1] - path[0]) / units).max())
 
-    def kept(self, state: np.ndarray, period: float, value: float, units: np.ndarray, along: np.ndarray) -> float:
+    def kept(
+        self, state: np.ndarray, period: float, free: Mapping[str, float], units: np.ndarray, along: np.ndarray
+    ) -> float:
         """By what share of it a variation (2n) comes back changed after a period, all in `units` (2n)."""
-        motion = self._at(value)
+        motion = self._at(free, period)
         begin = along[:, None] / float(np.abs(along / units).max())
         now, back = np.asarray(state, float), begin
         h = period / STEPS

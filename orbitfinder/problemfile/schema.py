@@ -543,7 +543,8 @@ class ProblemTable(Table):
     control: ControlTable | None = key("how controls vary in time; the motion of least cost")
     watch: dict[str, Line] = Field(
         {}, description="numbers of each orbit of a family by name: text of states, parameters, the period and max(), "
-        "min() and mean() over the motion, such as peak = 'max(theta1)'; `continue --stop peak=1.5` ends there",
+        "min() and mean() over the motion, amplitude(x, k) and phase(x, k) of harmonics, such as peak = 'max(theta1)'; "
+        "`continue --stop peak=1.5` ends there",
     )  # fmt: skip
     units: dict[str, Line] = key(
         "words for the units of time, length, mass, angle, or of a state or parameter by name, such as time = 'ms' or "
