@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import compress
 from typing import Any
 
@@ -65,14 +66,20 @@ class Attempt:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A converged loop before it is measured: w over the horizon, nodes and states of a period, its action."""
+    """A converged loop before it is measured: w over the horizon, nodes and states of a period."""
 
+    context: Context
     problem: Problem
     w: Unknowns
     nodes: np.ndarray
     times: np.ndarray
     states: np.ndarray
-    action: float
+
+    @cached_property
+    def action(self) -> float:
+        """The integral over the loop."""
+        march = self.context.equations[NONE.name].march.arcs[0]
+        return action(self.context.model, self.times, self.states, march)
 
     @property
     def numbers(self) -> Numbers:
@@ -252,7 +259,7 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> Course[ClosedLoop
     nodes, times, states = sampled_period(problem, whole, (yield Marched(plain, whole, "states")))
     if (np.ptp(states, axis=0) / context.units).max() < how.smallest:
         raise ConvergenceError("equilibrium")
-    return ClosedLoop(problem, closed, nodes, times, states, action(context.model, times, states))
+    return ClosedLoop(context, problem, closed, nodes, times, states)
 
 
 def measured(context: Context, loop: ClosedLoop) -> Course[tuple[Orbit, Model]]:

@@ -157,7 +157,7 @@ class Search:
         self._numbers = unmade(atlas, self.id, limits.shard or WHOLE)
         self._next = next(self._numbers)
         self._unjudged: deque[int] = deque()
-        self._under_way, self._seconds = 0, 1e-3
+        self._under_way, self._latest = 0, deque[float](maxlen=64)
         self._answers: dict[int, Attempt] = {}
         made = atlas.select([int], "SELECT count(*) FROM starts WHERE search = ?", [self.id])[0][0]
         self.statistics = SearchStatistics(orbits=len(atlas), begun_at=self._next, before=made, limits=limits)
@@ -200,9 +200,9 @@ class Search:
 
     @property
     def _size(self) -> int:
-        """How many starts are made side by side, by the time that they have taken so far."""
-        done = self.statistics.done
-        return FIRST if not done else int(np.clip(TURN * done / self._seconds, 1, TOGETHER))
+        """How many starts are made side by side, by the time that the latest have taken."""
+        latest = self._latest
+        return int(np.clip(TURN * len(latest) / (sum(latest) + 1e-3), 1, TOGETHER)) if latest else FIRST
 
     def _submit(self, workers: Workers, jobs: Sequence[Job]) -> None:
         workers.submit(jobs)
@@ -232,7 +232,7 @@ class Search:
     def _count(self, outcome: str, attempt: Attempt) -> None:
         statistics = self.statistics
         statistics.done += 1
-        self._seconds += attempt.seconds
+        self._latest.append(attempt.seconds)
         statistics.hits += outcome in ("new", "duplicate")
         statistics.new += outcome == "new"
         statistics.duplicates += outcome == "duplicate"
