@@ -27,6 +27,7 @@ FIELDS = {
     "start": ("", "number of that start"),
     "signature": ("", "turning points of each coordinate in a period, whole turns after `turns`; events of a hybrid"),
     "floquet_multipliers": ("1", "the non-trivial ones, JSON list of [real, imaginary]"),
+    "parameters": ("", "physical parameters that are not the system's own, JSON; empty where all are"),
     "proof": ("", "stability proved with the orbit's existence in ball arithmetic; empty where not attempted"),
 }
 """Columns of the table: unit and meaning. The state at t = 0 stands before `strategy`, a column a component."""

@@ -52,6 +52,8 @@ class Signature:
     loop: np.ndarray
     angles: tuple[bool, ...]
     arcs: int = 0
+    parameters: str = ""
+    """those that are not the system's own, as an atlas keeps them"""
 
     @property
     def numbers(self) -> Numbers:
@@ -147,7 +149,8 @@ def resampled(times: np.ndarray, states: np.ndarray, n: int) -> np.ndarray:
 
 def same_orbit(first: Signature, second: Signature) -> bool:
     """True when two signatures belong to one orbit up to phase, reflection and time reversal."""
-    return agree(first, second) and any(gap < DISTANCE for gap in _gaps(first, second))
+    same = first.parameters == second.parameters
+    return same and agree(first, second) and any(gap < DISTANCE for gap in _gaps(first, second))
 
 
 def agree(first: Signature, second: Signature) -> bool:

@@ -9,7 +9,7 @@ import sqlite3
 import weakref
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import GenericAlias
 from typing import Any, get_type_hints
@@ -22,7 +22,7 @@ from orbitfinder.atlas.signature import Signature, in_words, neighbours, same_or
 from orbitfinder.atlas.tables import connect, explained, transaction
 from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.symmetry import SYMMETRIES
-from orbitfinder.mechanics.kind import OTHER, build_model, system_kind
+from orbitfinder.mechanics.kind import OTHER, build_model, system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.orbit import (
@@ -53,7 +53,7 @@ class AtlasRow:
     """One line of an atlas: an orbit in a few numbers (SI units), `instability` its largest |multiplier|.
 
     `signature` says how often each coordinate turns back in a period (see `signature.in_words`), `proof` the stability
-    that is proved of it; "" where that was not asked.
+    that is proved of it; "" where that was not asked; `parameters` are those that are not the system's own, in JSON.
     """
 
     id: int
@@ -66,6 +66,7 @@ class AtlasRow:
     closure: float
     signature: str
     proof: str
+    parameters: str
 
 
 COLUMNS = tuple(AtlasRow.__dataclass_fields__)
@@ -310,21 +311,24 @@ class Atlas(Shown):
 
     def look_up(self, signature: Signature) -> int | None:
         """The id of the orbit that a signature belongs to, None when it is new."""
-        return next((k for k in self.near(signature.bins) if same_orbit(self.signature(k), signature)), None)
+        near = self.near(signature.bins, signature.parameters)
+        return next((k for k in near if same_orbit(self.signature(k), signature)), None)
 
-    def near(self, bins: tuple[int, int]) -> list[int]:
-        """The ids of the orbits in and next to bins of period and action."""
+    def near(self, bins: tuple[int, int], parameters: str = "") -> list[int]:
+        """The ids of the orbits in and next to bins of period and action, at these parameters."""
         periods, actions = neighbours(bins)
         rows = self.select(
-            [int], "SELECT id FROM orbits WHERE period_bin IN (?, ?, ?) AND action_bin IN (?, ?, ?) ORDER BY id",
-            [*periods, *actions],
+            [int], "SELECT id FROM orbits WHERE period_bin IN (?, ?, ?) AND action_bin IN (?, ?, ?) "
+            "AND parameters = ? ORDER BY id", [*periods, *actions, parameters],
         )  # fmt: skip
         return [number for (number,) in rows]
 
     def signature(self, number: int) -> Signature:
         """The signature of a stored orbit, its loop integrated again unless it is still in memory."""
         if number not in self._loops:
-            self.remember(number, signature_of(self.orbit(number), self.model))
+            parameters = self.row(number).parameters
+            there = with_parameters(self.model, named_values(parameters))
+            self.remember(number, replace(signature_of(self.orbit(number), there), parameters=parameters))
         return self._loops[number]
 
     def remember(self, number: int, signature: Signature) -> None:
@@ -345,7 +349,7 @@ class Atlas(Shown):
         numbers = [
             periods, actions, signature.energy, orbit.period, orbit.action, orbit.symmetry, orbit.stability,
             float(np.abs(orbit.floquet_multipliers).max(initial=1.0)), orbit.closure, in_words(orbit, signature),
-            proved(document), compressed(document),
+            proved(document), signature.parameters, compressed(document),
         ]  # fmt: skip
         return self.put(numbers)
 
@@ -389,6 +393,21 @@ def stored(path: Path, number: int) -> Orbit:
 def compressed(document: Mapping[str, Any]) -> bytes:
     """A document as an atlas keeps it."""
     return zlib.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), 9)
+
+
+def named_values(parameters: str) -> dict[str, float]:
+    """Parameters by name, as an atlas keeps them; none of ""."""
+    return json.loads(parameters) if parameters else {}
+
+
+def as_words(values: Mapping[str, float]) -> str:
+    """The text of which those are the `named_values`."""
+    return json.dumps(dict(values), sort_keys=True, separators=(",", ":")) if values else ""
+
+
+def parameters_in_words(parameters: str, before: str = "") -> str:
+    """Parameters for a reader, such as `mass = 2`, with something before where there are any."""
+    return before * bool(parameters) + ", ".join(f"{k} = {value:.9g}" for k, value in named_values(parameters).items())
 
 
 def proved(document: Mapping[str, Any]) -> str:
