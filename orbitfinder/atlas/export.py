@@ -27,7 +27,6 @@ FIELDS = {
     "start": ("", "number of that start"),
     "signature": ("", "turning points of each coordinate in a period, whole turns after `turns`; events of a hybrid"),
     "floquet_multipliers": ("1", "the non-trivial ones, JSON list of [real, imaginary]"),
-    "parameters": ("", "physical parameters that are not the system's own, JSON; empty where all are"),
     "proof": ("", "stability proved with the orbit's existence in ball arithmetic; empty where not attempted"),
 }
 """Columns of the table: unit and meaning. The state at t = 0 stands before `strategy`, a column a component."""
@@ -45,8 +44,15 @@ def _documents(atlas: Atlas, chosen: Filter | None) -> bytes:
 
 def _table(atlas: Atlas, chosen: Filter | None, to: str) -> bytes:
     states = atlas.model.state_names
-    rows, names = [flat(atlas, row, states) for row in atlas.rows(chosen)], flat_names(states)
+    lines = atlas.rows(chosen)
+    rows, names = [flat(atlas, row, states) for row in lines], flat_names(states)
     told = {name: FIELDS.get(name, STATE) for name in names}
+    if any(line.parameters for line in lines):
+        rows = [row | {"parameters": line.parameters} for row, line in zip(rows, lines, strict=True)]
+        names, told["parameters"] = (
+            (*names, "parameters"),
+            ("", "of a grid, JSON; empty where they are the system's own"),
+        )
     return table_bytes({name: [row[name] for row in rows] for name in names}, to, told, atlas.system)
 
 

@@ -20,7 +20,7 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.solver import GAVE_UP
 from orbitfinder.atlas.starts import DECLARED, STRATEGIES
 from orbitfinder.atlas.store import Atlas, parameters_in_words
-from orbitfinder.errors import plural
+from orbitfinder.errors import InputError, plural
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ class Stratum:
 class Summary:
     """Some searches of an atlas, or all of them, in numbers.
 
-    `strata` are the orbits met, by energy and symmetry; `stalled` counts starts that stalled near degenerate orbits.
+    `strata` are the orbits met, by energy and symmetry; `stalled` counts starts that stalled near degenerate orbits,
+    `beyond` says what no start looks for.
     """
 
     __repr__ = brief("orbits", "starts")
@@ -72,6 +73,7 @@ class Summary:
     yields: tuple[Yield, ...]
     failures: Mapping[str, int]
     strata: tuple[Stratum, ...]
+    beyond: str = ""
 
     @property
     def estimate(self) -> tuple[float, float]:
@@ -88,7 +90,8 @@ class Summary:
         """The estimate and what it does not cover, a sentence each."""
         lost = sum(self.failures.get(reason, 0) for reason in GAVE_UP)
         gone = f"starts that gave up on their way: {lost} of {self.starts}; what only such come near is in no estimate"
-        return (*remarks(self.strata, self.stalled), *([gone] if lost else []))
+        beyond = [f"in no estimate: {self.beyond}"] if self.beyond else []
+        return (*remarks(self.strata, self.stalled), *beyond, *([gone] if lost else []))
 
     def document(self) -> dict[str, Any]:
         """The same for `--json`; no standard error where nothing was met only once: there is nothing to judge by."""
@@ -123,7 +126,24 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
         yields=yields,
         failures=dict(failed),
         strata=stratified(atlas, where, values),
+        beyond=_beyond(atlas),
     )
+
+
+def _beyond(atlas: Atlas) -> str:
+    """What starts of an atlas's system never lead to; "" where the system cannot be made."""
+    try:
+        model = atlas.model
+    except InputError:
+        return ""
+    attracted = "orbits away from what motions from random states settle on"
+    if not model.smooth:
+        return "orbits of more cycles than were asked for, and those that do not begin in the section"
+    if model.forced:
+        return f"{attracted}, and periods that are no multiples of the forcing's"
+    if model.rates is None:
+        return "parts of the energy shell without positions within half a turn and two of its lengths of the rest"
+    return "parts of the level set that no ray from an equilibrium meets" if model.invariants else attracted
 
 
 def stratified(atlas: Atlas, where: str, values: Sequence[int]) -> tuple[Stratum, ...]:
