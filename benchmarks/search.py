@@ -14,6 +14,7 @@ A second target is wider: periods to 10 s, of which nobody knows all; there the 
 
     python benchmarks/search.py             writes results/benchmarks/search.md
     python benchmarks/search.py --against 4a7c61c7 --processor-time     writes results/benchmarks/search_wide.md
+    python benchmarks/search.py --memory 100000                         writes results/benchmarks/search_memory.md
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from earlier import checkout_of
 from refine import make_energy, make_field
 from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import least_squares
+from sweep import resident
 
 import orbitfinder as of
 from orbitfinder._runtime.processes import NAMES, children_see
@@ -180,6 +182,31 @@ Ratio of distinct orbits: {ratio:.2f} (wanted: {WIDE_WANTED:g}).
     )
 
 
+def memory(starts: int) -> str:
+    """The page of what memory a long search takes: that of its process after every tenth of the starts."""
+    rows, began, request = [], time.time(), (of.chain(2), -8.0, (0.5, 4.0))
+    with tempfile.TemporaryDirectory() as folder:
+        for part in range(1, 11):
+            made = starts * part // 10
+            found = of.search(*request, Path(folder) / "a.sqlite", starts=made, workers=0)
+            rows.append((made, found.summary.orbits, resident()))
+            print(*rows[-1], file=sys.stderr, flush=True)
+    lines = "\n".join(f"| {made} | {orbits} | {held:.0f} |" for made, orbits, held in rows)
+    sizes = [held for *_, held in rows]
+    return f"""# Memory of a search of {starts} starts
+
+`python benchmarks/search.py --memory {starts}`: double pendulum, -8 J, periods 0.5 to 4 s, seed 0, in this process,
+after every tenth of the starts. {time.time() - began:.0f} s.
+
+From the first tenth to the last {sizes[-1] - sizes[0]:+.0f} MB; the most is {max(sizes) - min(sizes):.0f} MB above the
+least (wanted: at most 50).
+
+| starts | orbits | resident, MB |
+|---|---|---|
+{lines}
+"""
+
+
 def report(ours: Result, hand: Result, summary, budget: float, processor: bool) -> str:
     ratio = ours.distinct / max(hand.distinct, 1)
     rows = [
@@ -223,6 +250,7 @@ def main() -> int:
     parser.add_argument("--budget", type=float, default=60.0)
     parser.add_argument("--processor-time", action="store_true", help="the budget is processor time of each process")
     parser.add_argument("--against", metavar="CHECKOUT|COMMIT", help="the wider target, beside an earlier search")
+    parser.add_argument("--memory", type=int, metavar="STARTS", help="what a search of so many starts holds in memory")
     parser.add_argument("--alone", action="store_true", help="(for itself)")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
@@ -230,9 +258,12 @@ def main() -> int:
         result, summary = search_with_orbitfinder(arguments.budget, arguments.processor_time, WIDE)
         print(json.dumps(asdict(result) | {"least": summary.estimate[0]}))
         return 0
-    name = "search_wide.md" if arguments.against else "search.md"
+    name = "search_memory.md" if arguments.memory else "search_wide.md" if arguments.against else "search.md"
     out = arguments.out or ROOT / "results" / "benchmarks" / name
     out.parent.mkdir(parents=True, exist_ok=True)
+    if arguments.memory:
+        out.write_text(memory(arguments.memory))
+        return 0
     if arguments.against:
         text, ratio = wide(arguments.against, arguments.budget, arguments.processor_time)
         out.write_text(text)

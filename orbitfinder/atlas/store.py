@@ -35,8 +35,8 @@ from orbitfinder.records.orbit import (
 from orbitfinder.records.reading import LARGEST_INTEGER, inflated, is_number, json_document, read_as, walked
 
 RESTORE = "restore a copy of the atlas"
-LOOPS_KEPT = 4096
-"""Loops of known orbits held in memory; others are integrated again when a look-up needs them."""
+LOOPS_KEPT = 32_000_000
+"""Bytes of loops of known orbits, the latest used, in memory; others are integrated again where they are needed."""
 
 ALIKE = ("formulation", "cycle")
 """What may differ in the description of one system: all formulations are one motion, all cycles one machine's."""
@@ -325,7 +325,9 @@ class Atlas(Shown):
 
     def signature(self, number: int) -> Signature:
         """The signature of a stored orbit, its loop integrated again unless it is still in memory."""
-        if number not in self._loops:
+        if number in self._loops:
+            self._loops[number] = self._loops.pop(number)  # the latest used is the last to go
+        else:
             parameters = self.row(number).parameters
             there = with_parameters(self.model, named_values(parameters))
             self.remember(number, replace(signature_of(self.orbit(number), there), parameters=parameters))
@@ -333,7 +335,7 @@ class Atlas(Shown):
 
     def remember(self, number: int, signature: Signature) -> None:
         """Keep the loop of an orbit for later look-ups."""
-        if len(self._loops) >= LOOPS_KEPT:
+        while self._loops and (1 + len(self._loops)) * signature.loop.nbytes > LOOPS_KEPT:
             self._loops.pop(next(iter(self._loops)))
         self._loops[number] = signature
 
