@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -288,15 +287,16 @@ def minimal(context: Context, loop: ClosedLoop) -> Course[ClosedLoop]:
     if not low <= loop.w.period <= 2 * high:  # a multiple cover that is too long may have a period in range
         raise ConvergenceError("period outside the range")
     whole = np.append(loop.problem.turns, loop.problem.forcing_cycles)
-    covers = [k for k in range(2, context.settings.largest_cover + 1) if not np.any(whole % k)]
+    covers = np.arange(2, context.settings.largest_cover + 1)
+    covers = covers[~np.any(whole % covers[:, None], axis=1)]
     near: list[bool] = []
-    if covers:
+    if len(covers):
         states = loop.states / context.sizes
         near = [
             far < context.settings.cover for far in return_distances(loop.times, states, context.model.angular, covers)
         ]
     if any(near):
-        loop = yield from uncovered(context, loop, max(compress(covers, near)))
+        loop = yield from uncovered(context, loop, int(covers[near].max()))
     if not low <= loop.w.period <= high:
         raise ConvergenceError("period outside the range")
     return loop

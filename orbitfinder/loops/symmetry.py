@@ -783,6 +783,12 @@ def _mirrored(involution: Involution, times: np.ndarray, states: np.ndarray, ang
     coordinate = np.any(rows[:, :n] != 0, axis=1)
     moved = states @ rows.T
     leading = int((np.where(coordinate, np.ptp(moved, axis=0), np.abs(moved).max(axis=0)) / units).argmax())
+    # between two samples nothing changes by more than twice what it changes from each to the next
+    if (
+        np.abs(off_centre(involution, states, angles) / units).max(axis=1).min()
+        > 2 * np.abs(np.diff(moved, axis=0) / units).max() + 10 * RECOGNITION
+    ):
+        return False
     parts = np.hstack([states[:, :n] @ rows[leading, :n, None], states[:, n:] @ rows[leading, :n, None]])
     chosen: PPoly = CubicHermiteSpline(times, *parts.T)
     levels = [0.0]
