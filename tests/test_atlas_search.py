@@ -457,6 +457,7 @@ def test_stalled_starts_are_in_the_report(undisturbed, tmp_path):
         words = summary.document()["estimate"]["remarks"]
         assert summary.stalled == 1 and any("degenerate orbits: 1;" in one for one in words)
         gone = sum(summary.failures.get(reason, 0) for reason in ("iteration limit", "hopeless start"))
+        assert words[-2].startswith("in no estimate: parts of the energy shell")
         assert words[-1].startswith(f"starts that gave up on their way: {gone} of {STARTS}; what only such come near")
         assert {one.symmetry for one in summary.strata} >= {"none"} and summary.orbits >= len(summary.strata)
         assert sum(one.hits for one in summary.strata) == summary.hits

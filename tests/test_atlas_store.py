@@ -62,6 +62,19 @@ def test_an_orbit_comes_out_as_it_went_in(book, triples):
         assert atlas.model.degrees_of_freedom == 3
 
 
+def test_loops_in_memory_stay_within_their_bytes(book, triples, monkeypatch):
+    """That which was used last stays; the other is made again where it is asked for."""
+    with Atlas(book) as atlas:
+        signatures = [signature_of(orbit, atlas.model) for orbit in triples]
+        for number, signature in enumerate(signatures, 1):
+            atlas.remember(number, signature)
+        assert list(atlas._loops) == [1, 2] and atlas.look_up(signatures[0]) == 1 and list(atlas._loops) == [2, 1]
+        monkeypatch.setattr(store, "LOOPS_KEPT", 1.5 * signatures[0].loop.nbytes)
+        atlas.remember(1, signatures[0])
+        assert list(atlas._loops) == [1]
+        assert [atlas.look_up(one) for one in signatures] == [1, 2] and list(atlas._loops) == [2]
+
+
 def test_the_same_orbit_goes_in_once(book, triples):
     """From any node, mirrored or run backwards it is known; after reopening too, when loops are integrated anew."""
     one = triples[0]
@@ -180,7 +193,7 @@ def test_a_newer_atlas_is_refused_untouched(book):
 def older(book, version):
     """The file as it was in a version: without what later migrations added."""
     with database(book) as connection:
-        for column in ("signature", "proof")[: 2 * (version < 3)]:
+        for column in ("parameters", *("signature", "proof")[: 2 * (version < 3)]):
             connection.execute(f"ALTER TABLE orbits DROP COLUMN {column}")
         for index in ("orbits_by_energy", "starts_by_orbit")[: 2 * (version < 2)]:
             connection.execute(f"DROP INDEX {index}")

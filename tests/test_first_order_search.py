@@ -1,6 +1,7 @@
 """Searches of first-order systems: the same orbits as in mechanical form, all of an attractor's, what is refused."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -122,11 +123,11 @@ def test_what_cannot_be_searched_is_said(tmp_path):
         asked(forced)
 
 
-def strobed(x):
+def strobed(x, damping=0.1):
     """The state a forcing period later, by SciPy."""
 
     def field(t, y):
-        return [y[1], 0.5 * np.cos(1.6 * t) - 0.1 * y[1] - y[0] - y[0] ** 3]
+        return [y[1], 0.5 * np.cos(1.6 * t) - damping * y[1] - y[0] - y[0] ** 3]
 
     return solve_ivp(field, (0.0, 2 * np.pi / 1.6), x, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
 
@@ -141,3 +142,34 @@ def test_all_responses_of_a_forced_oscillator(tmp_path):
         assert one.period == pytest.approx(beat, rel=1e-14) and np.abs(strobed(one.state) - one.state).max() < 1e-9
     assert [one.stability for one in orbits].count("unstable") == 1
     assert len(found(model, None, (0.9 * beat, 3.1 * beat), 32, tmp_path)) == 3
+
+
+def test_a_grid_of_parameters_is_searched_into_a_single_atlas(tmp_path):
+    """Orbits carry their damping, alike in period they are not taken for each other; shards of the grid join to it."""
+    model, beat, damping = of.systems.forced_duffing(**FORCED), 2 * np.pi / 1.6, [0.1, 0.2]
+    asked = {"starts": 6, "workers": 0, "parameters": {"damping": damping}}
+    whole, *parts = (tmp_path / f"{name}.sqlite" for name in ("whole", "1", "2"))
+    done = of.search(model, None, (0.9 * beat, 1.1 * beat), whole, **asked)
+    assert [tally.parameters for _, tally in done.tallies] == [{"damping": value} for value in damping]
+    assert {each.parameters for each in done.summary.strata} == {'{"damping":0.1}', '{"damping":0.2}'}
+    said = "\n".join(done.summary.remarks)
+    assert "damping = 0.1 were sought by 6 starts" in said and "in no estimate: orbits away from what motions" in said
+    with of.Atlas(whole) as atlas:
+        for row in atlas.rows():
+            orbit, value = atlas.orbit(row.id), json.loads(row.parameters)["damping"]
+            assert orbit.certificate.passed and of.certify(orbit).passed and f"damping{value:g}" in orbit.name
+            assert np.abs(strobed(orbit.state, value) - orbit.state).max() < 1e-9
+            atlas.forget()
+            assert atlas.look_up(atlas.signature(row.id)) == row.id
+            assert atlas.look_up(replace(atlas.signature(row.id), parameters="")) is None
+        held = {value: sum(value in row.parameters for row in atlas.rows()) for value in ("0.1", "0.2")}
+    assert min(held.values()) >= 1
+    for k, part in enumerate(parts):
+        of.search(model, None, (0.9 * beat, 1.1 * beat), part, shard=(k + 1, 2), **asked)
+    assert of.merge_atlases(parts, tmp_path / "both.sqlite").orbits == sum(held.values())
+    again = of.search(model, None, (0.9 * beat, 1.1 * beat), whole, **asked)
+    assert [tally.done for _, tally in again.tallies] == [0, 0]
+    with pytest.raises(InputError, match="parameters: unknown 'dampng', did you mean 'damping'"):
+        of.search(model, None, (3.0, 5.0), whole, parameters={"dampng": 0.1})
+    with pytest.raises(InputError, match="parameters.damping: must be different finite numbers"):
+        of.search(model, None, (3.0, 5.0), whole, parameters={"damping": [0.1, 0.1]})

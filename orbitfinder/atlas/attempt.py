@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import compress
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -65,14 +65,20 @@ class Attempt:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A converged loop before it is measured: w over the horizon, nodes and states of a period, its action."""
+    """A converged loop before it is measured: w over the horizon, nodes and states of a period."""
 
+    context: Context
     problem: Problem
     w: Unknowns
     nodes: np.ndarray
     times: np.ndarray
     states: np.ndarray
-    action: float
+
+    @cached_property
+    def action(self) -> float:
+        """The integral over the loop."""
+        march = self.context.equations[NONE.name].march.arcs[0]
+        return action(self.context.model, self.times, self.states, march)
 
     @property
     def numbers(self) -> Numbers:
@@ -252,7 +258,7 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> Course[ClosedLoop
     nodes, times, states = sampled_period(problem, whole, (yield Marched(plain, whole, "states")))
     if (np.ptp(states, axis=0) / context.units).max() < how.smallest:
         raise ConvergenceError("equilibrium")
-    return ClosedLoop(problem, closed, nodes, times, states, action(context.model, times, states))
+    return ClosedLoop(context, problem, closed, nodes, times, states)
 
 
 def measured(context: Context, loop: ClosedLoop) -> Course[tuple[Orbit, Model]]:
@@ -281,15 +287,16 @@ def minimal(context: Context, loop: ClosedLoop) -> Course[ClosedLoop]:
     if not low <= loop.w.period <= 2 * high:  # a multiple cover that is too long may have a period in range
         raise ConvergenceError("period outside the range")
     whole = np.append(loop.problem.turns, loop.problem.forcing_cycles)
-    covers = [k for k in range(2, context.settings.largest_cover + 1) if not np.any(whole % k)]
+    covers = np.arange(2, context.settings.largest_cover + 1)
+    covers = covers[~np.any(whole % covers[:, None], axis=1)]
     near: list[bool] = []
-    if covers:
+    if len(covers):
         states = loop.states / context.sizes
         near = [
             far < context.settings.cover for far in return_distances(loop.times, states, context.model.angular, covers)
         ]
     if any(near):
-        loop = yield from uncovered(context, loop, max(compress(covers, near)))
+        loop = yield from uncovered(context, loop, int(covers[near].max()))
     if not low <= loop.w.period <= high:
         raise ConvergenceError("period outside the range")
     return loop

@@ -44,8 +44,15 @@ def _documents(atlas: Atlas, chosen: Filter | None) -> bytes:
 
 def _table(atlas: Atlas, chosen: Filter | None, to: str) -> bytes:
     states = atlas.model.state_names
-    rows, names = [flat(atlas, row, states) for row in atlas.rows(chosen)], flat_names(states)
+    lines = atlas.rows(chosen)
+    rows, names = [flat(atlas, row, states) for row in lines], flat_names(states)
     told = {name: FIELDS.get(name, STATE) for name in names}
+    if any(line.parameters for line in lines):
+        rows = [row | {"parameters": line.parameters} for row, line in zip(rows, lines, strict=True)]
+        names, told["parameters"] = (
+            (*names, "parameters"),
+            ("", "of a grid, JSON; empty where they are the system's own"),
+        )
     return table_bytes({name: [row[name] for row in rows] for name in names}, to, told, atlas.system)
 
 

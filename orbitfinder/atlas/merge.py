@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,10 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.signature import same_orbit, signature_of
-from orbitfinder.atlas.store import RESTORE, STORED, Atlas
+from orbitfinder.atlas.store import RESTORE, STORED, Atlas, named_values
 from orbitfinder.atlas.tables import explained, transaction
 from orbitfinder.errors import InputError, plural
+from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import orbit_from_document
 
@@ -69,6 +70,7 @@ class _Birth:
     book: int
     number: int
     bins: tuple[int, int]
+    parameters: str
 
 
 @checked
@@ -184,12 +186,13 @@ def _entries(k: int, book: Atlas) -> Iterator[_Birth]:
         [int, int, int], "SELECT orbit, search, number FROM starts WHERE outcome = 'new' AND orbit IS NOT NULL"
     ):
         born[orbit] = min(born.get(orbit, (requests[search], number)), (requests[search], number))
-    kinds = [int, float, float, float, int, int, str, bytes]
-    question = "SELECT id, energy, period, action, period_bin, action_bin, proof, document FROM orbits WHERE id = ?"
+    kinds = [int, float, float, float, int, int, str, str, bytes]
+    columns = "id, energy, period, action, period_bin, action_bin, proof, parameters, document"
+    question = f"SELECT {columns} FROM orbits WHERE id = ?"
     for (number,) in book.select([int], "SELECT id FROM orbits"):
-        ((_, *numbers, first, second, proof, document),) = book.select(kinds, question, [number])
+        ((_, *numbers, first, second, proof, parameters, document),) = book.select(kinds, question, [number])
         birth, digest = born.get(number, ()), hashlib.sha256(document).digest()
-        where = k, number, (first, second)
+        where = k, number, (first, second), parameters
         yield _Birth(not birth, birth, tuple(numbers), not proof, digest, *where)  # type: ignore[arg-type]
 
 
@@ -200,9 +203,11 @@ def _orbits(out: Atlas, books: Sequence[Atlas], entries: Sequence[_Birth]) -> di
         number = seen.get(entry.digest)
         if number is None:
             book = books[entry.book]
-            document, near = book.document(entry.number), out.near(entry.bins)  # `InputError` where it is damaged
+            document, words = book.document(entry.number), entry.parameters  # `InputError` where it is damaged
+            near = out.near(entry.bins, words)
             if near:
-                signature = signature_of(orbit_from_document(document), out.model)
+                there = with_parameters(out.model, named_values(words))
+                signature = replace(signature_of(orbit_from_document(document), there), parameters=words)
                 number = next((k for k in near if same_orbit(out.signature(k), signature)), None)
             if number is None:
                 row = book.connection.execute(f"SELECT {STORED} FROM orbits WHERE id = ?", [entry.number]).fetchone()

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,8 @@ import numpy as np
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.solver import GAVE_UP
 from orbitfinder.atlas.starts import DECLARED, STRATEGIES
-from orbitfinder.atlas.store import Atlas
-from orbitfinder.errors import plural
+from orbitfinder.atlas.store import Atlas, parameters_in_words
+from orbitfinder.errors import InputError, plural
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ class Yield:
 
 @dataclass(frozen=True)
 class Stratum:
-    """Orbits of one energy (J) and symmetry: how many were met, `once` and in all, and by how many starts.
+    """Orbits of an energy (J), a symmetry and a set of parameters: how many were met, `once` and in all, by how many
+    starts.
 
     `starts` counts those that can meet such an orbit, `least` is Chao's lower bound with its standard error, and
     `coverage` the part of further hits that would be known orbits (Good and Turing), None without hits.
@@ -51,13 +52,15 @@ class Stratum:
     least: float
     standard_error: float
     coverage: float | None
+    parameters: str = ""
 
 
 @dataclass(frozen=True)
 class Summary:
     """Some searches of an atlas, or all of them, in numbers.
 
-    `strata` are the orbits met, by energy and symmetry; `stalled` counts starts that stalled near degenerate orbits.
+    `strata` are the orbits met, by energy and symmetry; `stalled` counts starts that stalled near degenerate orbits,
+    `beyond` says what no start looks for.
     """
 
     __repr__ = brief("orbits", "starts")
@@ -70,6 +73,7 @@ class Summary:
     yields: tuple[Yield, ...]
     failures: Mapping[str, int]
     strata: tuple[Stratum, ...]
+    beyond: str = ""
 
     @property
     def estimate(self) -> tuple[float, float]:
@@ -86,7 +90,8 @@ class Summary:
         """The estimate and what it does not cover, a sentence each."""
         lost = sum(self.failures.get(reason, 0) for reason in GAVE_UP)
         gone = f"starts that gave up on their way: {lost} of {self.starts}; what only such come near is in no estimate"
-        return (*remarks(self.strata, self.stalled), *([gone] if lost else []))
+        beyond = [f"in no estimate: {self.beyond}"] if self.beyond else []
+        return (*remarks(self.strata, self.stalled), *beyond, *([gone] if lost else []))
 
     def document(self) -> dict[str, Any]:
         """The same for `--json`; no standard error where nothing was met only once: there is nothing to judge by."""
@@ -121,28 +126,48 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
         yields=yields,
         failures=dict(failed),
         strata=stratified(atlas, where, values),
+        beyond=_beyond(atlas),
     )
+
+
+def _beyond(atlas: Atlas) -> str:
+    """What starts of an atlas's system never lead to; "" where the system cannot be made."""
+    try:
+        model = atlas.model
+    except InputError:
+        return ""
+    attracted = "orbits away from what motions from random states settle on"
+    if not model.smooth:
+        return "orbits of more cycles than were asked for, and those that do not begin in the section"
+    if model.forced:
+        return f"{attracted}, and periods that are no multiples of the forcing's"
+    if model.rates is None:
+        return "parts of the energy shell without positions within half a turn and two of its lengths of the rest"
+    return "parts of the level set that no ray from an equilibrium meets" if model.invariants else attracted
 
 
 def stratified(atlas: Atlas, where: str, values: Sequence[int]) -> tuple[Stratum, ...]:
     """The orbits that some starts met, by energy and symmetry; those without symmetry even where none was met."""
     joined = f"starts JOIN searches ON searches.id = starts.search WHERE {where}"
-    made: dict[float, dict[str, int]] = {}
-    for energy, strategy, count in atlas.select(
-        [float, str, int],
-        f"SELECT searches.energy, strategy, count(*) FROM {joined} GROUP BY searches.energy, strategy",
+    at, made = "coalesce(json_extract(searches.method, '$.parameters'), '')", dict[tuple[float, str], dict[str, int]]()
+    for energy, words, strategy, count in atlas.select(
+        [float, str, str, int],
+        f"SELECT searches.energy, {at}, strategy, count(*) FROM {joined} GROUP BY searches.energy, {at}, strategy",
         values,
     ):
-        made.setdefault(energy, {})[strategy] = count
-    met: dict[tuple[float, str], list[int]] = {(energy, "none"): [] for energy in made}
-    for energy, symmetry, count in atlas.select(
-        [float, str, int],
-        "SELECT searches.energy, symmetry, count(*) FROM orbits JOIN starts ON starts.orbit = orbits.id "
-        f"JOIN searches ON searches.id = starts.search WHERE {where} GROUP BY searches.energy, orbits.id",
+        made.setdefault((energy, words), {})[strategy] = count
+    met: dict[tuple[float, str, str], list[int]] = {(energy, words, "none"): [] for energy, words in made}
+    for energy, words, symmetry, count in atlas.select(
+        [float, str, str, int],
+        f"SELECT searches.energy, {at}, symmetry, count(*) FROM orbits JOIN starts ON starts.orbit = orbits.id "
+        f"JOIN searches ON searches.id = starts.search WHERE {where} GROUP BY searches.energy, {at}, orbits.id",
         values,
     ):
-        met.setdefault((energy, symmetry), []).append(count)
-    return tuple(stratum(*key, np.array(counts, int), made[key[0]]) for key, counts in sorted(met.items()))
+        met.setdefault((energy, words, symmetry), []).append(count)
+    return tuple(
+        replace(stratum(energy, symmetry, np.array(counts, int), made[energy, words]), parameters=words)
+        for (energy, words, symmetry), counts in sorted(met.items())
+    )
 
 
 def discovery(atlas: Atlas, search: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -201,7 +226,8 @@ def remarks(strata: Sequence[Stratum], stalled: int) -> tuple[str, ...]:
 def unseen(where: Stratum) -> str:
     """What may be missing in a stratum."""
     kind = "without symmetry" if where.symmetry == "none" else f"of symmetry {where.symmetry}"
-    sought = f"orbits {kind} at {where.energy:g} J were sought by {plural(where.starts, 'start')}"
+    at = parameters_in_words(where.parameters, ", ")
+    sought = f"orbits {kind} at {where.energy:g} J{at} were sought by {plural(where.starts, 'start')}"
     if where.starts < 6:
         return f"{sought}: too few to say how many there are"
     return f"{sought} only: what fewer than 1 in {where.starts // 3} of these would meet may be missing"

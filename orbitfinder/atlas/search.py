@@ -27,11 +27,11 @@ from orbitfinder.atlas.attempt import CONTINUATION, Attempt, Job
 from orbitfinder.atlas.report import Summary, summarise
 from orbitfinder.atlas.shard import WHOLE, Shard, shard_from
 from orbitfinder.atlas.starts import CYCLES, METHOD, Context, Target, context_of, strategy_of
-from orbitfinder.atlas.store import Atlas, check_range
+from orbitfinder.atlas.store import Atlas, as_words, check_range
 from orbitfinder.atlas.tables import explained, transaction
 from orbitfinder.atlas.workers import Cluster, Inline, LocalWorkers, Pool, Request, Workers
-from orbitfinder.errors import InputError
-from orbitfinder.mechanics.kind import build_model
+from orbitfinder.errors import InputError, closest
+from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 
 TOGETHER, FIRST, TURN = 256, 16, 2.0
@@ -74,6 +74,8 @@ class SearchStatistics:
     """how many starts were in the atlas before it"""
     ended: float | None = None
     limits: Limits = Limits()
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """those of the grid at which it searched"""
 
     @property
     def made(self) -> int:
@@ -95,16 +97,19 @@ class SearchStatistics:
         return min(seconds) if seconds else None
 
 
-def register(atlas: Atlas, request: Request, context: Context, alone: bool = False) -> int:
+def register(
+    atlas: Atlas, request: Request, context: Context, alone: bool = False, parameters: Mapping[str, float] | None = None
+) -> int:
     """The id of this search in its atlas.
 
-    A search is its energy, range of periods, seed and method; whoever asks for the same goes on with it. One that is
-    `alone` continues from no orbits of other energies: what other shards know of those is unknown here.
+    A search is its energy, range of periods, seed, method and `parameters`; whoever asks for the same goes on with it.
+    One that is `alone` continues from no orbits of other energies: what other shards know of those is unknown here.
     """
     how = {"method": METHOD, "strategies": context.strategies}
     if context.section is not None:
         target = request.target
         how |= {"cycle": context.model.cycle, "cycles": target.cycles, "section": dict(target.section)}
+    how |= {"parameters": dict(parameters)} if parameters else {}
     method = json.dumps(how, sort_keys=True)
     key = [request.target.energy, *request.target.periods, request.seed, method]
     with explained(atlas.path), transaction(atlas.connection):
@@ -132,14 +137,15 @@ def unmade(atlas: Atlas, search: int, shard: Shard) -> Iterator[int]:
     return itertools.chain((number for number in gaps if number not in known), itertools.count(ahead, shard.parts))
 
 
-def sources(atlas: Atlas, search: int) -> list[int]:
+def sources(atlas: Atlas, search: int, parameters: str = "") -> list[int]:
     """Orbits of other energies that the atlas held when the search was first asked for, nearest energy first."""
     rows = atlas.select(
         [int],
         "SELECT orbits.id FROM orbits, searches WHERE searches.id = ? AND orbits.id <= searches.sources "
+        "AND orbits.parameters = ? "
         "AND abs(orbits.energy - searches.energy) > 1e-6 * max(abs(searches.energy), abs(action) / orbits.period) "
         "ORDER BY abs(orbits.energy - searches.energy), orbits.id LIMIT ?",
-        [search, MOST_SOURCES],
+        [search, parameters, MOST_SOURCES],
     )
     return [number for (number,) in rows]
 
@@ -149,23 +155,27 @@ class Search:
 
     def __init__(
         self, atlas: Atlas, request: Request, context: Context, limits: Limits,
-        progress: Callable[[SearchStatistics], None] | None = None,
+        progress: Callable[[SearchStatistics], None] | None = None, parameters: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
         self._atlas, self._context, self._limits, self._progress = atlas, context, limits, progress
-        self.id = register(atlas, request, context, limits.shard is not None)
-        self._sources = sources(atlas, self.id)
+        self._parameters = as_words(parameters or {})
+        self.id = register(atlas, request, context, limits.shard is not None, parameters)
+        self._sources = sources(atlas, self.id, self._parameters)
         self._numbers = unmade(atlas, self.id, limits.shard or WHOLE)
         self._next = next(self._numbers)
         self._unjudged: deque[int] = deque()
-        self._under_way, self._seconds = 0, 1e-3
+        self._under_way, self._latest = 0, deque[float](maxlen=64)
         self._answers: dict[int, Attempt] = {}
         made = atlas.select([int], "SELECT count(*) FROM starts WHERE search = ?", [self.id])[0][0]
-        self.statistics = SearchStatistics(orbits=len(atlas), begun_at=self._next, before=made, limits=limits)
+        self.statistics = SearchStatistics(
+            orbits=len(atlas), begun_at=self._next, before=made, limits=limits, parameters=parameters or {}
+        )
 
     def run(self, workers: Workers) -> SearchStatistics:
         """Hand out, judge and write until a limit is reached; starts under way are waited for."""
         for row in self._atlas.rows():
-            workers.learn((row.energy, row.period, abs(row.action)))
+            if row.parameters == self._parameters:
+                workers.learn((row.energy, row.period, abs(row.action)))
         while self._hand_out(workers) or self._under_way:
             limit.check()
             for job, attempt in workers.results(0.2):  # s between two looks at the clock
@@ -200,9 +210,9 @@ class Search:
 
     @property
     def _size(self) -> int:
-        """How many starts are made side by side, by the time that they have taken so far."""
-        done = self.statistics.done
-        return FIRST if not done else int(np.clip(TURN * done / self._seconds, 1, TOGETHER))
+        """How many starts are made side by side, by the time that the latest have taken."""
+        latest = self._latest
+        return int(np.clip(TURN * len(latest) / (sum(latest) + 1e-3), 1, TOGETHER)) if latest else FIRST
 
     def _submit(self, workers: Workers, jobs: Sequence[Job]) -> None:
         workers.submit(jobs)
@@ -218,6 +228,11 @@ class Search:
         if not attempt.strategy:  # its worker died
             name = CONTINUATION if attempt.index < len(self._sources) else strategy_of(self._context, attempt.index)
             attempt = replace(attempt, strategy=name)
+        if attempt.signature is not None:
+            attempt = replace(attempt, signature=replace(attempt.signature, parameters=self._parameters))
+        if attempt.orbit is not None:  # whose name is good for a folder
+            given = (f"-{name}{value:.9g}" for name, value in self.statistics.parameters.items())
+            attempt = replace(attempt, orbit=replace(attempt.orbit, name="".join([attempt.orbit.name, *given])))
         outcome, number = record(self._atlas, self.id, attempt)
         if outcome == "uncertain":
             self._submit(workers, [self._job(attempt.index, certain=True)])
@@ -232,7 +247,7 @@ class Search:
     def _count(self, outcome: str, attempt: Attempt) -> None:
         statistics = self.statistics
         statistics.done += 1
-        self._seconds += attempt.seconds
+        self._latest.append(attempt.seconds)
         statistics.hits += outcome in ("new", "duplicate")
         statistics.new += outcome == "new"
         statistics.duplicates += outcome == "duplicate"
@@ -273,7 +288,8 @@ def record(atlas: Atlas, search: int, attempt: Attempt) -> tuple[str, int | None
 
 @dataclass(frozen=True)
 class Found:
-    """What one run of a search did: its statistics by energy (J), and the summary of these searches from the atlas."""
+    """What one run of a search did: its statistics by energy (J), at each set of parameters, and the summary of these
+    searches from the atlas."""
 
     __repr__ = brief("atlas", "summary")
 
@@ -299,12 +315,13 @@ def search(
     progress: Callable[[float, SearchStatistics], None] | None = None,
     section: Mapping[str, Sequence[float]] | None = None,
     cycles: int = CYCLES,
+    parameters: Mapping[str, float | Sequence[float]] | None = None,
 ) -> Found:
     """Search for periodic orbits of a Model and keep the distinct certified ones in an atlas file.
 
     Ends at `starts` starts for each energy or after `budget` seconds (60 when neither is given), shared among the
-    energies. The result depends on the seed, not on the workers. A search that was stopped, however, goes on when the
-    same is asked again.
+    energies, and among all sets of `parameters`. The result depends on the seed, not on the workers. A search that was
+    stopped, however, goes on when the same is asked again.
 
     Args:
         model: the system.
@@ -324,9 +341,10 @@ def search(
         section: of a hybrid system, ranges of components right after the event that ends its cycle, by name: where
             starts begin.
         cycles: of a hybrid system, orbits of at most so many cycles are looked for.
+        parameters: values of physical parameters by name; every combination is searched, at every energy.
 
     Returns:
-        `summary` of these searches, `tallies` by energy, `atlas`.
+        `summary` of these searches, `tallies` by energy and parameters, `atlas`.
 
     Raises:
         InputError: for energies that cannot be reached and settings that contradict each other.
@@ -343,20 +361,23 @@ def search(
     part = shard_from(shard)
     shells = levels(model, energies)
     check_request(shells, starts, budget, seed, workers)
-    shells = shells if part is None else tuple(sorted(shells))  # as `merge_atlases` orders them
     budget = DEFAULT_BUDGET if starts is None and budget is None else budget
-    limits = Limits(starts, None if budget is None else budget / len(shells), part)
+    points = list(itertools.product(shells, grid(model, parameters or {})))
+    points = points if part is None else sorted(points, key=lambda point: (point[0], as_words(point[1])))
+    limits = Limits(starts, None if budget is None else budget / len(points), part)
     for name, pair in (section or {}).items():
         check_range(f"search.section.{name}", pair)
     where = {name: (float(pair[0]), float(pair[1])) for name, pair in (section or {}).items()}
     tallies, ids = [], []
     listening(scheduler if executor is None else None)  # before an atlas is made
     with Atlas(atlas, write=True, model=model) as book:
-        for energy in shells:
+        for energy, values in points:
+            there = with_parameters(model, values)
             target = Target(energy, (float(periods[0]), float(periods[1])), where, int(cycles))
-            request = Request(dict(model.system), target, int(seed), None if folder is None else str(folder))
-            context = context_of(model, target)
-            run = Search(book, request, context, limits, None if progress is None else partial(progress, energy))
+            request = Request(dict(there.system), target, int(seed), None if folder is None else str(folder))
+            context = context_of(there, target)
+            told = None if progress is None else partial(progress, energy)
+            run = Search(book, request, context, limits, told, values)
             with contextlib.closing(employed(context, request, workers, scheduler, executor)) as crew:
                 tallies.append((energy, run.run(crew)))
             ids.append(run.id)
@@ -371,6 +392,19 @@ def levels(model: Model, energies: float | Sequence[float] | None) -> tuple[floa
         given = [] if energies is None else energies
         return tuple(float(level) for level in (given if isinstance(given, Sequence) else [given]))
     return (0.0,)
+
+
+def grid(model: Model, parameters: Mapping[str, float | Sequence[float]]) -> list[dict[str, float]]:
+    """Every combination of the values of physical parameters. Raises `InputError`."""
+    each = {name: np.atleast_1d(np.asarray(values, float)) for name, values in parameters.items()}
+    for name, values in each.items():
+        if name not in model.parameter_names:
+            meant = closest(name, model.parameter_names)
+            known = ", ".join(model.parameter_names) or "none"
+            raise InputError(f"parameters: unknown {name!r}{meant}; this system has {known}")
+        if values.ndim != 1 or not values.size or len(set(values)) < values.size or not np.isfinite(values).all():
+            raise InputError(f"parameters.{name}: must be different finite numbers, got {values.tolist()}; give a list")
+    return [dict(zip(each, map(float, point), strict=True)) for point in itertools.product(*each.values())]
 
 
 def employed(

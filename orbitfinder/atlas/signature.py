@@ -12,15 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.interpolate import CubicSpline
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.symmetry import USUAL
 from orbitfinder.mechanics.hybrid import as_recorded
-from orbitfinder.mechanics.model import Model, wrapped
+from orbitfinder.mechanics.model import Model, between, wrapped
 from orbitfinder.mechanics.scales import alone
-from orbitfinder.orbits.closure import between
 from orbitfinder.orbits.course import course, sampled
 from orbitfinder.orbits.measure import dense
 from orbitfinder.records.orbit import Orbit, level, unconserved
@@ -53,6 +52,8 @@ class Signature:
     loop: np.ndarray
     angles: tuple[bool, ...]
     arcs: int = 0
+    parameters: str = ""
+    """those that are not the system's own, as an atlas keeps them"""
 
     @property
     def numbers(self) -> Numbers:
@@ -148,7 +149,8 @@ def resampled(times: np.ndarray, states: np.ndarray, n: int) -> np.ndarray:
 
 def same_orbit(first: Signature, second: Signature) -> bool:
     """True when two signatures belong to one orbit up to phase, reflection and time reversal."""
-    return agree(first, second) and any(gap < DISTANCE for gap in _gaps(first, second))
+    same = first.parameters == second.parameters
+    return same and agree(first, second) and any(gap < DISTANCE for gap in _gaps(first, second))
 
 
 def agree(first: Signature, second: Signature) -> bool:
@@ -253,5 +255,4 @@ def _path(loop: np.ndarray, period: float, n: int, angles: Sequence[bool]) -> Ca
     if n == loop.shape[1]:
         through = CubicSpline(times, whole)
         return lambda moments: np.asarray(through(moments % period))
-    spline = CubicHermiteSpline(times, whole[:, :n], whole[:, n:])
-    return lambda moments: np.hstack([spline(moments % period), spline(moments % period, 1)])
+    return lambda moments: between(times, whole, n, moments % period)

@@ -22,7 +22,7 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -162,15 +162,15 @@ def scaled_loop(
     measures = Measures.of(loop, w, w.joined(node, problem.guess.period, 1.0 / clock, np.zeros(0)))
     first, phases, _ = np.split(measures.rows, [measures.rows.size - len(loop.normals) - 1, measures.rows.size - 1])
     phases = np.full(phases.size, rate) if np.all(units == 1.0) else phases
-    rows = np.concatenate([first, phases, [_span(problem, w.nodes[0, :n], node[n:])]])
+    rows = np.concatenate([first, phases, [_span(problem, equations, w.nodes[0, :n], node[n:])]])
     return ScaledLoop(loop, step, replace(measures, rows=rows), periods, tuple(units))
 
 
-def _span(problem: Problem, q: np.ndarray, v: np.ndarray) -> float:
+def _span(problem: Problem, equations: Equations, q: np.ndarray, v: np.ndarray) -> float:
     """What an energy is measured in (J): how far it is above the potential at q, which may be hardly at all."""
-    model, level = problem.model, problem.pin[0].value
-    lowest = float(model.potential(q, model.parameter_values))
-    moving = 2.0 * float(model.kinetic(q, v, model.parameter_values))
+    model, level, at = problem.model, problem.pin[0].value, equations.march.arcs[0].at
+    lowest = float(at(model.potential, q, model.parameter_values)[0][0, 0])
+    moving = 2.0 * float(at(model.kinetic, q, v, model.parameter_values)[0][0, 0])
     return max(abs(level - lowest), 0.1 * abs(level), 1e-3 * min(1.0, moving))
 
 
@@ -233,7 +233,8 @@ class Closing(Ask):
     def shape(self) -> tuple[int, ...]:
         """What those have in common that stand in rows of the same arrays."""
         loop = self.scaled.loop
-        return id(loop.equations), len(self.w.nodes), len(loop.normals), len(loop.conditions), loop.cycles
+        rows = len(loop.normals), len(loop.conditions), len(loop.equations.boundary[0])
+        return id(loop.equations.march), len(self.w.nodes), *rows, loop.cycles
 
     @classmethod
     def answered(cls, asks: Sequence[Closing]) -> Sequence[Any]:
@@ -263,6 +264,9 @@ class Rank:
     def __init__(self, asks: Sequence[Closing]) -> None:
         scaled = [ask.scaled for ask in asks]
         self.asks, self.how, self.equations = asks, scaled[0].settings, scaled[0].loop.equations
+        self.fractions = [each.loop.equations.symmetry.fraction for each in scaled]
+        known = {id(each.loop.equations): each.loop.equations.boundary for each in scaled}
+        self.first, self.last = (np.array([known[id(each.loop.equations)][k] for each in scaled]) for k in (0, 1))
         self.count, self.size = asks[0].w.nodes.shape
         self.cut = self.count * self.size
         self.w = np.array([ask.w.vector for ask in asks])
@@ -271,12 +275,13 @@ class Rank:
         self.periods = np.array([each.periods for each in scaled])
         self.normals = np.array([each.loop.normals for each in scaled]).reshape(len(asks), -1, self.size)
         self.away = np.array([each.loop.reference for each in scaled])
-        self.constants = np.array([self.equations.aimed(each.loop.constant) for each in scaled])
+        self.constants = np.array([each.loop.equations.aimed(each.loop.constant) for each in scaled])
         self.conditions = scaled[0].loop.conditions
         self.values = np.array([[condition.value for condition in each.loop.conditions] for each in scaled])
         self.left, self.answers = np.arange(len(asks)), list[Any]([None]) * len(asks)
         self.residual, self.jacobian = np.full(self.rows.shape, np.inf), np.zeros((*self.rows.shape, self.w.shape[1]))
         self.damping, self.norms = np.full(len(asks), np.nan), list[np.ndarray]()
+        self.sizes = np.full(len(asks), np.inf)
 
     def end(self, numbers: np.ndarray, why: Exception) -> None:
         """Rows that lead nowhere."""
@@ -323,38 +328,39 @@ class Rank:
     def _refuse(self, numbers: np.ndarray) -> None:
         self.damping[numbers] = np.maximum(10 * self.damping[numbers], 1e-3)
 
-    def placed(self, w: np.ndarray) -> list[Placed]:
+    def placed(self, numbers: np.ndarray, w: np.ndarray) -> list[Placed]:
         """Nodes, meshes and tails of rows at w (b x K)."""
-        fraction, step, count = self.equations.symmetry.fraction, self.asks[0].scaled.step, self.count
-        meshes = [_mesh(fraction, count, rounded(period * fraction / count / step)) for period in w[:, self.cut]]
+        step, count, shares = self.asks[0].scaled.step, self.count, [self.fractions[k] for k in numbers]
+        meshes = [
+            _mesh(fraction, count, rounded(period * fraction / count / step))
+            for fraction, period in zip(shares, w[:, self.cut].tolist(), strict=True)
+        ]
         return list(zip(w[:, : self.cut].reshape(-1, count, self.size), meshes, w[:, self.cut :], strict=True))
 
-    def take(self, numbers: np.ndarray, w: np.ndarray, loops: Sequence[Placed], last: np.ndarray) -> None:
+    def take(self, numbers: np.ndarray, w: np.ndarray, path: Derived) -> None:
         """What trials have come to: taken where the residual is smaller than before, more damping where not."""
-        last = last.reshape(len(numbers), -1)
-        finite, first = np.isfinite(last).all(axis=1), np.isnan(self.damping[numbers])
-        self.end(numbers[~finite & first], IntegrationError(LOST))
-        self._refuse(numbers[~finite & ~first])
-        edges = np.array([mesh[:: (mesh.size - 1) // self.count] for _, mesh, _ in loops])[finite]
-        numbers, w, first = numbers[finite], w[finite], first[finite]
-        if not numbers.size:
-            return
-        residual, jacobian = self._linearised(numbers, w, edges, last[finite])
-        better = np.linalg.norm(residual, axis=1) < np.linalg.norm(self.residual[numbers], axis=1)
-        taken, damping = numbers[better], self.damping[numbers]
+        finite, first = path.finite, np.isnan(self.damping[numbers])
+        if not finite.all():
+            self.end(numbers[~finite & first], IntegrationError(LOST))
+            self._refuse(numbers[~finite & ~first])
+            numbers, w, first, path = numbers[finite], w[finite], first[finite], path.of(finite)
+            if not numbers.size:
+                return
+        residual, jacobian = self._linearised(numbers, w, path)
+        size = np.sqrt(np.square(residual).sum(axis=1))
+        better, damping = size < self.sizes[numbers], self.damping[numbers]
+        taken = numbers[better]
         self.w[taken], self.residual[taken], self.jacobian[taken] = w[better], residual[better], jacobian[better]
+        self.sizes[taken] = size[better]
         less, more = np.where(damping > 1e-9, damping / 10, 0.0), np.maximum(5 * damping, 1e-4)
         self.damping[numbers] = np.where(first, self.how.first_damping, np.where(better, less, more))
 
-    def _linearised(
-        self, numbers: np.ndarray, w: np.ndarray, edges: np.ndarray, last: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _linearised(self, numbers: np.ndarray, w: np.ndarray, path: Derived) -> tuple[np.ndarray, np.ndarray]:
         """Scaled residuals and Jacobians of rows at w (b x K), from the ends of their segments with derivatives."""
         count, size, cut, many = self.count, self.size, self.cut, len(w)
-        nodes, tails, (first, end) = w[:, :cut].reshape(many, count, size), w[:, cut:], self.equations.boundary
-        ends, phi, columns = self.equations.march.arcs[0].derivatives(nodes, last, edges, tails)
-        values, slopes = self.equations.named(self.conditions, nodes[:, 0], tails[:, :1])
-        links, closing, normals = cut - size, cut - size + len(first), self.normals[numbers]
+        nodes, first, end = w[:, :cut].reshape(many, count, size), self.first[numbers], self.last[numbers]
+        ends, phi, columns, values, slopes = path
+        links, closing, normals = cut - size, cut - size + first.shape[1], self.normals[numbers]
         phases = closing + normals.shape[1]
         residual, jacobian = np.empty((many, self.rows.shape[1])), np.zeros((many, *self.jacobian.shape[1:]))
         residual[:, :links] = (ends[:, :-1] - nodes[:, 1:]).reshape(many, -1)
@@ -376,6 +382,26 @@ class Rank:
         return residual / rows, jacobian * self.columns[numbers, None] / rows[:, :, None]
 
 
+class Derived(NamedTuple):
+    """Of loops of N segments: ends (B x N x d), transitions, columns; conditions (B x c) and slopes."""
+
+    ends: np.ndarray
+    transitions: np.ndarray
+    columns: np.ndarray
+    values: np.ndarray
+    slopes: np.ndarray
+
+    def of(self, rows: np.ndarray) -> Derived:
+        """Some of the loops."""
+        return Derived(*(part[rows] for part in self))
+
+    @property
+    def finite(self) -> np.ndarray:
+        """Whether loops have led to numbers (B)."""
+        ends = np.isfinite(self.ends).all(axis=(1, 2)) & np.isfinite(self.columns).all(axis=(1, 2, 3))
+        return np.asarray(ends & np.isfinite(self.transitions).all(axis=(1, 2, 3)))
+
+
 @lru_cache(maxsize=256)
 def _mesh(fraction: float, segments: int, steps: int) -> np.ndarray:
     return uniform(fraction, segments, steps)
@@ -383,16 +409,28 @@ def _mesh(fraction: float, segments: int, steps: int) -> np.ndarray:
 
 def _evaluated(trials: Sequence[tuple[Rank, np.ndarray, np.ndarray]]) -> None:
     """Trials of all ranks marched side by side, and taken or not."""
-    marches = defaultdict[int, list[tuple[Rank, np.ndarray, np.ndarray, list[Placed]]]](list)
+    marches = defaultdict[int, list[tuple[Rank, np.ndarray, np.ndarray]]](list)
     for rank, numbers, w in trials:
         if numbers.size:
-            marches[id(rank.equations.march)].append((rank, numbers, w, rank.placed(w)))
+            marches[id(rank.equations.march)].append((rank, numbers, w))
     for each in marches.values():
-        march = each[0][0].equations.march.arcs[0]
-        last, _ = march.beside(True, [loop for *_, loops in each for loop in loops])
-        cuts = np.cumsum([len(numbers) * rank.count for rank, numbers, *_ in each])[:-1]
-        for (rank, numbers, w, loops), own in zip(each, np.split(last, cuts), strict=True):
-            rank.take(numbers, w, loops, own)
+        equations, conditions = each[0][0].equations, each[0][0].conditions
+        loops = [loop for rank, numbers, w in each for loop in rank.placed(numbers, w)]
+        march, counts = equations.march.arcs[0], [len(nodes) for nodes, _, _ in loops]
+        last, _ = march.beside(True, loops)
+        nodes, tails = np.concatenate([nodes for nodes, _, _ in loops]), np.array([tail for _, _, tail in loops])
+        edges = np.concatenate([np.stack([mesh[: -1 : k], mesh[k::k]], axis=1) for nodes, mesh, _ in loops
+                                for k in [(mesh.size - 1) // len(nodes)]])  # fmt: skip
+        tails = np.repeat(tails, counts, axis=0)
+        segments = [part[:, 0] for part in march.derivatives(nodes[:, None], last, edges, tails)]
+        begins = np.cumsum([0, *counts])[:-1]
+        whole = equations.named(conditions, nodes[begins], tails[begins, :1])
+        loop, begin = 0, 0
+        for rank, numbers, w in each:
+            upto, end = loop + len(numbers), begin + len(numbers) * rank.count
+            own = (part[begin:end].reshape(len(numbers), rank.count, *part.shape[1:]) for part in segments)
+            rank.take(numbers, w, Derived(*own, *(part[loop:upto] for part in whole)))
+            loop, begin = upto, end
 
 
 def polished(scaled: ScaledLoop, w: Unknowns, jacobian: np.ndarray) -> Course[Unknowns]:

@@ -383,7 +383,8 @@ def potential(context: Context, q: np.ndarray) -> float:
 
 def on_shell(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The state (2n) at q with velocity along `direction` and the target's energy."""
-    kinetic = float(context.model.kinetic(q, direction, context.model.parameter_values))
+    at = context.equations[NONE.name].march.arcs[0].at
+    kinetic = float(at(context.model.kinetic, q, direction, context.model.parameter_values)[0][0, 0])
     size = np.sqrt((context.target.energy - potential(context, q)) / nonzero(kinetic))
     return np.concatenate([q, size * direction])
 

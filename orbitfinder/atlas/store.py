@@ -9,7 +9,7 @@ import sqlite3
 import weakref
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import GenericAlias
 from typing import Any, get_type_hints
@@ -22,7 +22,7 @@ from orbitfinder.atlas.signature import Signature, in_words, neighbours, same_or
 from orbitfinder.atlas.tables import connect, explained, transaction
 from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.symmetry import SYMMETRIES
-from orbitfinder.mechanics.kind import OTHER, build_model, system_kind
+from orbitfinder.mechanics.kind import OTHER, build_model, system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.orbit import (
@@ -35,8 +35,8 @@ from orbitfinder.records.orbit import (
 from orbitfinder.records.reading import LARGEST_INTEGER, inflated, is_number, json_document, read_as, walked
 
 RESTORE = "restore a copy of the atlas"
-LOOPS_KEPT = 4096
-"""Loops of known orbits held in memory; others are integrated again when a look-up needs them."""
+LOOPS_KEPT = 32_000_000
+"""Bytes of loops of known orbits, the latest used, in memory; others are integrated again where they are needed."""
 
 ALIKE = ("formulation", "cycle")
 """What may differ in the description of one system: all formulations are one motion, all cycles one machine's."""
@@ -53,7 +53,7 @@ class AtlasRow:
     """One line of an atlas: an orbit in a few numbers (SI units), `instability` its largest |multiplier|.
 
     `signature` says how often each coordinate turns back in a period (see `signature.in_words`), `proof` the stability
-    that is proved of it; "" where that was not asked.
+    that is proved of it; "" where that was not asked; `parameters` are those that are not the system's own, in JSON.
     """
 
     id: int
@@ -66,6 +66,7 @@ class AtlasRow:
     closure: float
     signature: str
     proof: str
+    parameters: str
 
 
 COLUMNS = tuple(AtlasRow.__dataclass_fields__)
@@ -310,26 +311,31 @@ class Atlas(Shown):
 
     def look_up(self, signature: Signature) -> int | None:
         """The id of the orbit that a signature belongs to, None when it is new."""
-        return next((k for k in self.near(signature.bins) if same_orbit(self.signature(k), signature)), None)
+        near = self.near(signature.bins, signature.parameters)
+        return next((k for k in near if same_orbit(self.signature(k), signature)), None)
 
-    def near(self, bins: tuple[int, int]) -> list[int]:
-        """The ids of the orbits in and next to bins of period and action."""
+    def near(self, bins: tuple[int, int], parameters: str = "") -> list[int]:
+        """The ids of the orbits in and next to bins of period and action, at these parameters."""
         periods, actions = neighbours(bins)
         rows = self.select(
-            [int], "SELECT id FROM orbits WHERE period_bin IN (?, ?, ?) AND action_bin IN (?, ?, ?) ORDER BY id",
-            [*periods, *actions],
+            [int], "SELECT id FROM orbits WHERE period_bin IN (?, ?, ?) AND action_bin IN (?, ?, ?) "
+            "AND parameters = ? ORDER BY id", [*periods, *actions, parameters],
         )  # fmt: skip
         return [number for (number,) in rows]
 
     def signature(self, number: int) -> Signature:
         """The signature of a stored orbit, its loop integrated again unless it is still in memory."""
-        if number not in self._loops:
-            self.remember(number, signature_of(self.orbit(number), self.model))
+        if number in self._loops:
+            self._loops[number] = self._loops.pop(number)  # the latest used is the last to go
+        else:
+            parameters = self.row(number).parameters
+            there = with_parameters(self.model, named_values(parameters))
+            self.remember(number, replace(signature_of(self.orbit(number), there), parameters=parameters))
         return self._loops[number]
 
     def remember(self, number: int, signature: Signature) -> None:
         """Keep the loop of an orbit for later look-ups."""
-        if len(self._loops) >= LOOPS_KEPT:
+        while self._loops and (1 + len(self._loops)) * signature.loop.nbytes > LOOPS_KEPT:
             self._loops.pop(next(iter(self._loops)))
         self._loops[number] = signature
 
@@ -345,7 +351,7 @@ class Atlas(Shown):
         numbers = [
             periods, actions, signature.energy, orbit.period, orbit.action, orbit.symmetry, orbit.stability,
             float(np.abs(orbit.floquet_multipliers).max(initial=1.0)), orbit.closure, in_words(orbit, signature),
-            proved(document), compressed(document),
+            proved(document), signature.parameters, compressed(document),
         ]  # fmt: skip
         return self.put(numbers)
 
@@ -389,6 +395,21 @@ def stored(path: Path, number: int) -> Orbit:
 def compressed(document: Mapping[str, Any]) -> bytes:
     """A document as an atlas keeps it."""
     return zlib.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), 9)
+
+
+def named_values(parameters: str) -> dict[str, float]:
+    """Parameters by name, as an atlas keeps them; none of ""."""
+    return json.loads(parameters) if parameters else {}
+
+
+def as_words(values: Mapping[str, float]) -> str:
+    """The text of which those are the `named_values`."""
+    return json.dumps(dict(values), sort_keys=True, separators=(",", ":")) if values else ""
+
+
+def parameters_in_words(parameters: str, before: str = "") -> str:
+    """Parameters for a reader, such as `mass = 2`, with something before where there are any."""
+    return before * bool(parameters) + ", ".join(f"{k} = {value:.9g}" for k, value in named_values(parameters).items())
 
 
 def proved(document: Mapping[str, Any]) -> str:

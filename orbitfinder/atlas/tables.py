@@ -63,6 +63,9 @@ CREATE INDEX starts_by_orbit ON starts (orbit);
 ALTER TABLE orbits ADD COLUMN signature TEXT NOT NULL DEFAULT '';
 ALTER TABLE orbits ADD COLUMN proof TEXT NOT NULL DEFAULT '';
 """,
+    """
+ALTER TABLE orbits ADD COLUMN parameters TEXT NOT NULL DEFAULT '';
+""",
 )
 """Scripts that raise the version by one each; a published one is never edited, only followed by another."""
 VERSION = len(MIGRATIONS)

@@ -85,6 +85,7 @@ def list_orbits(book: Path, order: str, **options: Any) -> None:
       orbitfinder atlas list triple.sqlite --period ,3 --order "instability"
     """
     with of.Atlas(book) as opened:
+        from orbitfinder.atlas.store import parameters_in_words
         from orbitfinder.mechanics.scales import worded
 
         rows, system = opened.rows(chosen(options), order), opened.system
@@ -98,6 +99,7 @@ def list_orbits(book: Path, order: str, **options: Any) -> None:
         text(
             f"{row.id:>6} {row.energy:>12.6g} {row.period:>14.9f}{action}  {row.symmetry:<18}"
             f"{row.stability:<11}{row.instability:>12.4g}{closure}"
+            f"{parameters_in_words(row.parameters, '  ')}"
         )
     text(plural(len(rows), "orbit"))
     finish("atlas-list", {"orbits": rows})

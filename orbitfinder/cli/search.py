@@ -13,6 +13,7 @@ import orbitfinder as of
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.console import Report, display
 from orbitfinder.cli.options import FILES, finish, next_step, option, text, trusted, usual
+from orbitfinder.cli.sweep import parameter
 from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
@@ -51,9 +52,16 @@ def _budget(_: click.Context, __: click.Parameter, text: str | None) -> float | 
 @option("seed", "Chooses the starts.", 0, (0, 2**63 - 1))
 @option("workers", "Processes; 0: no other.", 2, (0, 256))
 @option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@option(
+    "parameter given",
+    "A physical parameter and its values, or NAME=V,V,...; of several every combination is searched.",
+    multiple=True, metavar="NAME=FROM:TO:COUNT",
+)  # fmt: skip
 @option("shard", "Make every N-th start only, from the K-th; auto: by the Slurm array that runs it.", metavar="K/N")
 @usual(compiled=True, trust="Import the Python function of the system; only for files you have read.")
-def search(file: Path, book: Path, budget: float | None, starts: int | None, trust: bool, **how: Any) -> None:
+def search(
+    file: Path, book: Path, budget: float | None, starts: int | None, trust: bool, given: tuple[str, ...], **how: Any
+) -> None:
     """Search for all periodic orbits of the system of a problem FILE, at its energies and periods.
 
     Every orbit found is certified and, when it is new, written to the atlas. The starts depend on the
@@ -65,8 +73,12 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
       orbitfinder search problems/search/triple.toml --budget 60s --atlas triple.sqlite
       orbitfinder search problems/search/triple.toml --starts 2000 --workers 4 --atlas triple.sqlite
       orbitfinder search problems/search/triple.toml --starts 2000 --shard 3/8 --atlas triple-3.sqlite
+      orbitfinder search problems/search/duffing.toml --parameter damping=0.05:0.2:4 --atlas duffing.sqlite
     """
     lasts, folder = "" if budget is None else f" {budget:g} s,", trusted(file, trust)
+    parameters = dict(map(parameter, given))
+    if len(parameters) < len(given):
+        raise InputError("--parameter: the same name twice; give each once")
     with display(f"{file}: searching,{lasts} seed {how['seed']}, into {book}", SPEAK_EVERY, refresh=0.25) as shown:
         from orbitfinder.problemfile.read import load_problem_file, read_toml
 
@@ -80,11 +92,11 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
             shown.show(progress(energy, tally, bool(loaded.model.invariants)))
 
         result = of.search(loaded.model, energies, periods, book, starts=starts, budget=budget, folder=folder,
-                          progress=report, **how, **sections(loaded))  # fmt: skip
+                          progress=report, parameters=parameters, **how, **sections(loaded))  # fmt: skip
     for energy, tally in result.tallies:
+        where = level(energy, bool(loaded.model.invariants), tally)
         text(
-            f"{level(energy, bool(loaded.model.invariants))}: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, "
-            f"{plural(tally.new, 'new orbit')}, "
+            f"{where}: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, {plural(tally.new, 'new orbit')}, "
             f"{plural(tally.duplicates, 'time')} a known one, {sum(tally.failures.values())} failed"
         )
     print_summary(result.summary)
@@ -92,18 +104,20 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
     next_step("atlas list", result.atlas)
     runs = [
         {
-            "energy": energy, "starts": tally.done, "first_start": tally.begun_at, "hits": tally.hits,
-            "new": tally.new, "duplicates": tally.duplicates, "failures": dict(tally.failures),
-            "seconds": tally.elapsed,
+            "energy": energy, "parameters": dict(tally.parameters), "starts": tally.done,
+            "first_start": tally.begun_at, "hits": tally.hits, "new": tally.new, "duplicates": tally.duplicates,
+            "failures": dict(tally.failures), "seconds": tally.elapsed,
         }
         for energy, tally in result.tallies
     ]  # fmt: skip
     finish("search", {"atlas": str(result.atlas), "runs": runs, "summary": result.summary.document()})
 
 
-def level(energy: float, conserved: bool) -> str:
-    """An energy in words."""
-    return f"{energy:g} J" if conserved else "any energy"
+def level(energy: float, conserved: bool, tally: SearchStatistics) -> str:
+    """An energy and parameters in words."""
+    from orbitfinder.atlas.store import as_words, parameters_in_words
+
+    return (f"{energy:g} J" if conserved else "any energy") + parameters_in_words(as_words(tally.parameters), ", ")
 
 
 def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]]:
@@ -130,11 +144,11 @@ def progress(energy: float, tally: SearchStatistics, conserved: bool = True) -> 
     made, failed, left = tally.made, sum(tally.failures.values()), tally.left
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
     line = (
-        f"{level(energy, conserved)}: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
+        f"{level(energy, conserved, tally)}: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
         f"{tally.duplicates} known, {failed} failed, {plural(tally.orbits, 'orbit')} in the atlas, {rate} starts/s"
     ) + (remaining and f", {remaining} left")
     rows = [
-        ("energy", level(energy, conserved)), ("starts", f"{made}"),
+        ("energy", level(energy, conserved, tally)), ("starts", f"{made}"),
         ("hits", f"{tally.hits}"), ("new orbits", f"{tally.new}"),
         ("known orbits", f"{tally.duplicates}"), ("orbits in the atlas", f"{tally.orbits}"),
         ("starts a second", rate), ("time left", remaining),
@@ -145,6 +159,8 @@ def progress(energy: float, tally: SearchStatistics, conserved: bool = True) -> 
 
 def print_summary(summary: Summary) -> None:
     """Yield by strategy, failures by reason, and how many orbits may remain."""
+    from orbitfinder.atlas.store import parameters_in_words
+
     text(f"  {'strategy':<16}{'starts':>8}{'hits':>8}{'new':>8}{'cpu s':>9}{'new/cpu s':>11}")
     for row in summary.yields:
         rate = row.new / row.seconds if row.seconds else 0.0
@@ -155,8 +171,9 @@ def print_summary(summary: Summary) -> None:
     if rest := sum(count for _, count in failures[REASONS_SHOWN:]):
         text(f"  failed {rest:>6}: other reasons")
     for met in summary.strata:
+        at = parameters_in_words(met.parameters, ", ")
         text(
-            f"  {plural(met.orbits, 'orbit')} of symmetry {met.symmetry} at {met.energy:g} J, {met.once} met once; "
+            f"  {plural(met.orbits, 'orbit')} of symmetry {met.symmetry} at {met.energy:g} J{at}, {met.once} met once; "
             f"at least about {met.least:.0f}, sought by {plural(met.starts, 'start')}"
         )
     for sentence in summary.remarks:

@@ -239,7 +239,7 @@ class March:
         """d(ends)/dT (B x N x d): a segment gets longer and, which a forced system sees, begins later."""
         (loops, count, size), each = nodes.shape, np.repeat(tails, nodes.shape[1], axis=0)
         durations, times = (edges[:, 1:] - edges[:, :-1])[:, :, None], tails[:, :1] * edges
-        if not self.forced or count == 1:
+        if not self.forced or not edges[:, :-1].any():
             rates = self.rates(ends.reshape(-1, size), each, times[:, 1:].ravel())
             return np.asarray(rates.reshape(loops, count, size) * durations)
         states, moments = np.concatenate([ends, nodes]), np.concatenate([times[:, 1:], times[:, :-1]])

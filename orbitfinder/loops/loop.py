@@ -190,7 +190,7 @@ class Equations:
         """What integrates the loop, or one of its arcs in periods of its own: once for loops of a thread that differ in
         their links alone."""
         unfolded = tuple(invariant.name for invariant in self.symmetry.unfolded(model))
-        parts = self.symmetry.parts
+        parts = 0 if arc is None else self.symmetry.parts
         key = Same(self.model), self.free, unfolded, self.action, self.alone, self.by, arc, parts, get_ident()
         return _marches((key, mode()), lambda: self._derived(model, arc))
 

@@ -24,7 +24,7 @@ from scipy.interpolate import CubicHermiteSpline, PPoly
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
-from orbitfinder.mechanics.model import Invariant, Model, altered, wrapped
+from orbitfinder.mechanics.model import Invariant, Model, altered, between, wrapped
 from orbitfinder.mechanics.scales import masses_of, proportions, shared, snapped, surroundings
 
 RECOGNITION = 1e-6
@@ -778,13 +778,17 @@ def _mirrored(involution: Involution, times: np.ndarray, states: np.ndarray, ang
     """True when the motion passes the fixed set, and its rates about that instant are even or odd as they must be."""
     n = angles.size
     rows = _fixed(involution, n).rows
-    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
-    rates = spline.derivative()
     sizes = shared(np.append(np.ptp(states[:, :n], axis=0), np.abs(states[:, n:]).max(axis=0)), angles)
     units = (np.abs(rows) * sizes).max(axis=1)  # of coordinates and of rates
     coordinate = np.any(rows[:, :n] != 0, axis=1)
     moved = states @ rows.T
     leading = int((np.where(coordinate, np.ptp(moved, axis=0), np.abs(moved).max(axis=0)) / units).argmax())
+    # between two samples nothing changes by more than twice what it changes from each to the next
+    if (
+        np.abs(off_centre(involution, states, angles) / units).max(axis=1).min()
+        > 2 * np.abs(np.diff(moved, axis=0) / units).max() + 10 * RECOGNITION
+    ):
+        return False
     parts = np.hstack([states[:, :n] @ rows[leading, :n, None], states[:, n:] @ rows[leading, :n, None]])
     chosen: PPoly = CubicHermiteSpline(times, *parts.T)
     levels = [0.0]
@@ -794,8 +798,8 @@ def _mirrored(involution: Involution, times: np.ndarray, states: np.ndarray, ang
     elif not coordinate[leading]:
         chosen = CubicHermiteSpline(times, states[:, :n] @ rows[leading, n:], moved[:, leading]).derivative()
     roots = [_reaching(chosen, level).solve(level, extrapolate=False) for level in levels]
-    moments = np.concatenate([*(np.append(root[np.isfinite(root)], times) for root in roots)])
-    there = np.hstack([spline(moments), rates(moments)])
+    moments = np.concatenate([*(root[np.isfinite(root)] for root in roots), times])
+    there = between(times, states, n, moments)
     defects = np.abs(off_centre(involution, there, angles) / units).max(axis=1)
     # the spline's rates are good to about the fourth power of the sampling interval
     if not defects.size or not defects.min() <= 10 * RECOGNITION:

@@ -9,6 +9,7 @@ from typing import Any, Generic, Self, TypeVar, overload
 
 import casadi as ca
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import Shown, brief
@@ -484,6 +485,20 @@ def wrapped(gaps: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray
     if not turning.any():
         return gaps
     return np.where(turning, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
+
+
+def between(times: np.ndarray, states: np.ndarray, n: int, moments: np.ndarray | float) -> np.ndarray:
+    """States at moments from dense samples (k x d), by cubics; n of the components are coordinates, others rates."""
+    if n == states.shape[1]:
+        return np.asarray(CubicSpline(times, states)(moments))
+    moments = np.asarray(moments, float)
+    before = np.clip(np.searchsorted(times, moments, side="right") - 1, 0, len(times) - 2)
+    ahead, step = (moments - times[before])[..., None], (times[before + 1] - times[before])[..., None]
+    (place, first), last = (states[before, :n], states[before, n:]), states[before + 1, n:]
+    mean = (states[before + 1, :n] - place) / step
+    square, cube = (3 * mean - 2 * first - last) / step, (first + last - 2 * mean) / step**2
+    there = ((cube * ahead + square) * ahead + first) * ahead + place
+    return np.concatenate([there, (3 * cube * ahead + 2 * square) * ahead + first], axis=-1)
 
 
 def energy(model: Model, state: np.ndarray) -> float:

@@ -20,10 +20,10 @@ from orbitfinder.integrate.field import rates_of, vector_field
 from orbitfinder.loops.symmetry import NONE, beside, knowing, recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.hybrid import as_recorded
 from orbitfinder.mechanics.kind import build_model
-from orbitfinder.mechanics.model import Invariant, Model, counted, energies, wrapped
+from orbitfinder.mechanics.model import Invariant, Model, between, counted, energies, wrapped
 from orbitfinder.mechanics.scales import extents
 from orbitfinder.orbits.between import early_return, overlooked
-from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, between, shift, shift_along
+from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, shift, shift_along
 from orbitfinder.orbits.evidence import (
     VARIED,
     Evidence,

@@ -21,7 +21,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.loops.symmetry import shifts_of
@@ -144,14 +143,6 @@ def shift_along(
     known, moved = shifts_of(model), (end - start)[: turns.size] - 2 * np.pi * turns
     directions = np.array([known[name].direction for name in chosen])
     return dict(zip(chosen, map(float, np.linalg.lstsq(directions.T, moved, rcond=None)[0]), strict=True))
-
-
-def between(times: np.ndarray, states: np.ndarray, n: int, moments: np.ndarray | float) -> np.ndarray:
-    """States at moments from dense samples (k x d), by cubics; n of the components are coordinates, others rates."""
-    if n == states.shape[1]:
-        return np.asarray(CubicSpline(times, states)(moments))
-    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
-    return np.concatenate([spline(moments), spline(moments, 1)], axis=-1)
 
 
 def gap(

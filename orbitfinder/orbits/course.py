@@ -15,8 +15,8 @@ import numpy as np
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.dop853 import ReferenceSettings
-from orbitfinder.mechanics.model import Model, energies, positions
-from orbitfinder.orbits.closure import between, shift
+from orbitfinder.mechanics.model import Model, between, energies, positions
+from orbitfinder.orbits.closure import shift
 from orbitfinder.orbits.hybrid import cycle_from, motion_of
 from orbitfinder.records.orbit import Orbit
 

@@ -313,11 +313,14 @@ def loop_action(
     return found if any(end is None for end in ends) else float(sum(end[-1] for end in ends if end is not None))
 
 
-def action(model: Model, times: np.ndarray, states: np.ndarray) -> float:
+def action(model: Model, times: np.ndarray, states: np.ndarray, march: March | None = None) -> float:
     """Integral over the loop of `Model.action_rate`: of momentum.dq, of general first-order systems of |x'|^2 dt.
 
     The trapezoidal rule on equally spaced samples of a periodic function converges exponentially
     (L. N. Trefethen, J. A. C. Weideman, SIAM Review 56 (2014) 385-458).
     """
-    rate = model.along(action_rate(model), times[None], np.asarray(states).T).ravel()
+    if march is None:
+        rate = model.along(action_rate(model), times[None], np.asarray(states).T).ravel()
+    else:  # the same without CasADi's matrices, which take longer than what is in them
+        rate = march.along(action_rate(model), times[:, None], states, model.parameter_values[None]).ravel()
     return float(trapezoid(rate, times))

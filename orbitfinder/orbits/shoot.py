@@ -35,9 +35,9 @@ from orbitfinder.loops.problem import (
 from orbitfinder.loops.shooting import Shooting, far_end, flow_of, transcribe, units_of
 from orbitfinder.loops.symmetry import off_centre
 from orbitfinder.mechanics.kind import system_kind, with_parameters
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, between
 from orbitfinder.mechanics.scales import extents_of
-from orbitfinder.orbits.closure import between, gap
+from orbitfinder.orbits.closure import gap
 from orbitfinder.orbits.guesses.balance import balanced_guess
 from orbitfinder.orbits.hybrid import STEPS, first_unknowns
 from orbitfinder.orbits.measure import dense, measure, provenance, shift_of

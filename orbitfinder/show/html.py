@@ -21,9 +21,8 @@ from orbitfinder.families.members import STEADY
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.loops.problem import Count, Problem
 from orbitfinder.mechanics.kind import build_model
-from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.mechanics.model import Model, between, positions
 from orbitfinder.mechanics.scales import unit_names, worded
-from orbitfinder.orbits.closure import between
 from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.orbits.simulate import Simulation
 from orbitfinder.orbits.sweep import Sweep

@@ -93,7 +93,7 @@ class Kernel:
             order = np.arange(count + 1, dtype=np.intp)
             begins = order * (len(parameters) // max(1, count))
         else:
-            order = np.argsort(np.diff(begins), kind="stable")
+            order = np.argsort(-np.diff(begins), kind="stable")  # the longest first: lanes end together
         given = (array.ctypes.data for array in (begins, order, starts, parameters))
         march = self._library(count == 1).march
         if march(count, *given, ends, path, results[1].shape[1], errors[0] if errors else None):

@@ -68,38 +68,35 @@ INLINE int within(int i) {
 #endif
 }
 
-INLINE void gathered(V *to, const double *from, const ptrdiff_t *rows, int width) {
-  for (int i = 0; i < width; i++) for (int l = 0; l < LANES; l++) to[i][l] = from[rows[l] * width + i];
-}
-
 /* (t, y) of `count` segments in `starts`, (h, s, free) of the steps of each, one after another, in `given`, from number
    begins[i] to begins[i + 1] for segment i; where the segments end in `ends`, of each step the first `kept` numbers of its
-   end in `path`; in `errors`, where there is such, estimates for the last step of each. Those whose numbers stand together
-   in `order` share registers; one that has ended goes on unread. Returns whether there was no memory for it. */
+   end in `path`; in `errors`, where there is such, estimates for the last step of each. A lane whose segment has ended goes
+   on with the next in `order`, without any it rests, unread. Returns whether there was no memory for it. */
 int march(ptrdiff_t count, const ptrdiff_t *begins, const ptrdiff_t *order, const double *starts, const double *given,
           double *ends, double *path, ptrdiff_t kept, double *errors) {
   void *memory = malloc((2 * ROWS + ROOM) * sizeof(V) + 64);
   if (!memory) return 1;
   V *work = (V *)(((uintptr_t)memory + 63) & ~(uintptr_t)63), *z = work + ROOM, *error = z + ROWS, p[GIVEN];
-  for (ptrdiff_t first = 0; first < count; first += LANES) {
-    ptrdiff_t segment[LANES], row[LANES], last[LANES], most = 0;
+  ptrdiff_t segment[LANES], row[LANES], next = 0, left = count;
+  for (int l = 0; l < LANES; l++) segment[l] = -1, row[l] = 0;
+  for (int i = 0; i < ROWS; i++) z[within(i)] = all(starts[i]);
+  while (left) {
     for (int l = 0; l < LANES; l++) {
-      segment[l] = order[first + l < count ? first + l : count - 1];
-      last[l] = begins[segment[l] + 1] - begins[segment[l]] - 1;
-      most = last[l] > most ? last[l] : most;
-    }
-    for (int i = 0; i < ROWS; i++) for (int l = 0; l < LANES; l++) z[within(i)][l] = starts[segment[l] * ROWS + i];
-    for (ptrdiff_t k = 0; k <= most; k++) {
-      for (int l = 0; l < LANES; l++) row[l] = begins[segment[l]] + (k < last[l] ? k : last[l]);
-      gathered(p, given, row, GIVEN);
-      step(z, p, work, errors ? error : 0);
-      for (int l = 0; l < LANES; l++) if (k <= last[l]) {
-        for (ptrdiff_t i = 0; i < kept; i++) path[row[l] * kept + i] = z[i][l];
-        for (int i = 0; k == last[l] && i < ROWS; i++) {
-          ends[segment[l] * ROWS + i] = z[within(i)][l];
-          if (errors && i) errors[segment[l] * (ROWS - 1) + i - 1] = error[within(i) - 1][l];
-        }
+      if (segment[l] < 0 && next < count) {
+        segment[l] = order[next++], row[l] = begins[segment[l]];
+        for (int i = 0; i < ROWS; i++) z[within(i)][l] = starts[segment[l] * ROWS + i];
       }
+      for (int i = 0; i < GIVEN; i++) p[i][l] = segment[l] < 0 && !i ? 0.0 : given[row[l] * GIVEN + i];
+    }
+    step(z, p, work, errors ? error : 0);
+    for (int l = 0; l < LANES; l++) if (segment[l] >= 0) {
+      for (ptrdiff_t i = 0; i < kept; i++) path[row[l] * kept + i] = z[i][l];
+      if (row[l] + 1 < begins[segment[l] + 1]) { row[l]++; continue; }
+      for (int i = 0; i < ROWS; i++) {
+        ends[segment[l] * ROWS + i] = z[within(i)][l];
+        if (errors && i) errors[segment[l] * (ROWS - 1) + i - 1] = error[within(i) - 1][l];
+      }
+      segment[l] = -1, left--;
     }
   }
   free(memory);
