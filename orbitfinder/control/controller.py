@@ -78,6 +78,7 @@ class Controller(Shown):
         certificate: its checks.
         basin: what `of.basin` measured.
         provenance: how it was designed.
+        event: the transition that ends a period of a hybrid system, after which tau begins anew at 0; "" without.
 
     Examples:
         >>> bool(np.abs(controller.multipliers).max() < 1)
@@ -108,6 +109,7 @@ class Controller(Shown):
     certificate: Certified = None
     basin: Basin | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    event: str = ""
 
     @property
     def stabilised(self) -> bool:

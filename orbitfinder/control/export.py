@@ -20,7 +20,7 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.reading import plain_numbers, write_atomically
 
-TABLE = ("period", "clock", "units", "angles", "states", "inputs", "gains", "actuators", "limits")
+TABLE = ("period", "clock", "event", "units", "angles", "states", "inputs", "gains", "actuators", "limits")
 """What of a controller its law needs"""
 
 
