@@ -21,9 +21,11 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import __version__
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.control.basin import disturbed
 from orbitfinder.control.controller import Controller
 from orbitfinder.control.export import law_of
 from orbitfinder.control.riccati import periodic
+from orbitfinder.control.strikes import left
 from orbitfinder.control.transverse import EFFORT, STEPS, Reference, authority
 from orbitfinder.errors import InputError, closest
 from orbitfinder.integrate.march import March, uniform
@@ -33,7 +35,7 @@ from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.closure import shift
 from orbitfinder.orbits.measure import versions
-from orbitfinder.records.certificate import Certificate, at_most
+from orbitfinder.records.certificate import Certificate, Check, at_most
 from orbitfinder.records.orbit import Orbit
 
 LEAST_NODES = 256
@@ -51,6 +53,9 @@ class Required:
     """difference of well-conditioned multipliers between linear design and nonlinear closed loop"""
     closed: float = 1e-8
     """gap, in extents, between what it takes for the orbit and the motion of its model from node to node"""
+    kick: float = 0.01
+    """size, in extents, of disturbances that the simulation of a hybrid closed loop brings back"""
+    kicks: int = 2
     recorded: float = 1e-6
     """difference of recorded multipliers of the closed loop from those computed again"""
 
@@ -339,7 +344,18 @@ def verified(controller: Controller, model: Model | None = None) -> Controller:
         at_most("agreement", _apart(multipliers, controller.predicted, sharp), REQUIRED.alike,
                  "of the multipliers with the linear design, over their condition"),
     )  # fmt: skip
-    return replace(controller, multipliers=_sorted(multipliers), certificate=Certificate(checks))
+    made = replace(controller, multipliers=_sorted(multipliers))
+    return replace(made, certificate=Certificate(checks if model.smooth else (*checks, _brought_back(made, model))))
+
+
+def _brought_back(controller: Controller, model: Model) -> Check:
+    """What the automaton, simulated with the law within its limits, leaves of kicks, by their size."""
+    largest = float(np.abs(controller.multipliers).max())
+    count = int(np.ceil(np.log(1e-3) / np.log(np.clip(largest, 0.03, 0.5))))
+    kicks = disturbed(controller, model, np.full(REQUIRED.kicks, REQUIRED.kick), 0)
+    worst = float(left(controller, model, *kicks, count).max()) / REQUIRED.kick if largest < 1 else np.inf
+    told = f"of {REQUIRED.kicks} kicks of {REQUIRED.kick:g} extents, simulated for {count} events: what is left"
+    return at_most("automaton", worst, controller.near(count), told)
 
 
 def _round(model: Model, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
