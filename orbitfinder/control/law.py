@@ -105,12 +105,12 @@ def spline(rows: np.ndarray, ends: bool = False) -> np.ndarray:
     back = (rows - np.outer(np.arange(count + 1) / count, moved))[:-1]
     angle = TURN * np.fft.rfftfreq(count)
     wave = (66 + 52 * np.cos(angle) + 2 * np.cos(2 * angle)) / 120  # eigenvalues of the circulant (1, 26, 66, 26, 1)
-    found = np.fft.irfft(np.fft.rfft(back, axis=0) / wave[:, None], count, axis=0)
+    weights = np.fft.irfft(np.fft.rfft(back, axis=0) / wave[:, None], count, axis=0)
     places = np.arange(-2, count + 3)
-    found = found[places % count] + np.outer(places / count, moved)
+    weights = weights[places % count] + np.outer(places / count, moved)
     if not ends:
-        return found
+        return weights
     decay = np.roots([1, 26, 66, 26, 1])[2:] ** np.arange(count + 5)[:, None]
     modes = np.hstack([decay, decay[::-1]])
-    odd, own = (np.diff(each, 6, axis=0)[[0, 1, -2, -1]] for each in (found, modes))
-    return np.asarray(found - modes @ np.linalg.solve(own, odd))
+    odd, own = (np.diff(each, 6, axis=0)[[0, 1, -2, -1]] for each in (weights, modes))
+    return np.asarray(weights - modes @ np.linalg.solve(own, odd))

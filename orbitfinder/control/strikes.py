@@ -1,13 +1,14 @@
 """Disturbed motions of a hybrid system under a controller: the automaton simulated, event after event.
 
 It knows neither the saltation matrix nor the Riccati equation: guards are watched, the law is asked at every evaluation
-of the rates. A motion has fallen where no event ends an arc in `PATIENCE` periods, or what must hold in the mode does
+of the rates. A motion has fallen where no event ends an arc in three periods, or what must hold in the mode does
 not: a foot that leaves the ground.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -20,10 +21,8 @@ from orbitfinder.integrate.automaton import Arc, Automaton
 from orbitfinder.integrate.dop853 import ReferenceSettings
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.field import VectorField
-from orbitfinder.mechanics.model import Model, vector_field
+from orbitfinder.mechanics.model import Model, altered, vector_field
 
-PATIENCE = 3.0
-"""Periods in which an arc ends, or the motion has fallen"""
 Acting = Callable[[np.ndarray, float], tuple[np.ndarray, Any]]
 """(x, tau) -> controls, and the place of the orbit: a `Law`, or an exported one"""
 
@@ -32,7 +31,9 @@ class Striking(Automaton):
     """The automaton of a controller's Model, closed by its own law or by another that does the same."""
 
     def __init__(self, controller: Controller, model: Model, law: Acting | None = None) -> None:
-        super().__init__(model, ReferenceSettings(1e-9, 1e-11), units=controller.units.tolist())
+        parts = replace(model.hybrid, modes=tuple(replace(mode, holds={}) for mode in model.hybrid.modes))
+        plain = altered(model, hybrid=parts)  # what holds depends on the controls: asked along each arc instead
+        super().__init__(plain, ReferenceSettings(1e-9, 1e-11), units=controller.units.tolist())
         self.period, self.names, self.law = controller.period, controller.actuators, law or law_of(controller)
         self.begun = 0.0
         self._rates = Buffered(vector_field(model, self.names))
@@ -54,7 +55,7 @@ class Striking(Automaton):
         self.begun, by, states = place, "", [np.asarray(state, float)]
         try:
             while len(states) <= count:
-                arc = next(self.arcs(states[-1], mode.name, PATIENCE * self.period, 1, by))
+                arc = next(self.arcs(states[-1], mode.name, 3.0 * self.period, 1, by))
                 if arc.ended_by != transition.name or self._lifts(arc):
                     break
                 states.append(arc.after)
