@@ -404,7 +404,6 @@ def test_multipliers_of_a_gait_by_the_automatons_return_map(gait, clock):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1800)
 def test_two_hundred_kicked_walkers_under_the_exported_c(walker, tmp_path):
     """Kicks of 5 % of each state's extent at any moment of the step: simulated by the automaton under the exported C,
     after five strikes at most a hundredth of every kick is left; sampled by the package too, all 200 return."""
@@ -415,7 +414,6 @@ def test_two_hundred_kicked_walkers_under_the_exported_c(walker, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1800)
 def test_two_hundred_kicked_walkers_fall_alone(walker):
     """The same kicks, the motors idle: none walks sixty steps."""
     idle = Striking(walker, build_model(walker.system), lambda x, tau: (np.zeros(2), tau))
