@@ -337,7 +337,9 @@ def test_command_writes_beside_or_where_told(tmp_path, to, names):
 
 
 @needs_cc
-@pytest.mark.parametrize("name", ["compass-level", "maintained-oscillator", "hopping-monopod"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("compass-level", marks=pytest.mark.slow), "maintained-oscillator", "hopping-monopod"]
+)
 def test_controls_are_in_the_csv_and_drive_the_motion_from_c_and_python(tmp_path, name):
     """The first arc by SciPy under the exported Python ends where the record says; C and the table say the same."""
     orbit = of.load_orbit(ROOT / "docs" / "gallery" / "orbits" / f"control-{name}.json")

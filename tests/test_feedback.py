@@ -202,7 +202,7 @@ def test_planted_motion_that_does_not_close(held):
 
 def test_planted_multipliers_in_the_record(held):
     found = certify_controller(replace(held, multipliers=0.9 * held.multipliers))
-    assert found.failures == ("recorded_multipliers",) and certify_controller(held).passed
+    assert found.failures == ("recorded_multipliers",)
 
 
 def test_what_is_not_stabilised_is_not_exported(held, tmp_path):
@@ -291,9 +291,10 @@ def test_a_linkage_on_its_constraints():
 
 
 def test_small_disturbances_return_and_are_repeated(held):
-    first, again = (of.basin(held, [0.005], 6, 50, rate=64).basin for _ in range(2))
-    assert first.rows[0].returned == 6 and np.array_equal(first.rows[0].peak, again.rows[0].peak)
-    assert first.near == 0.01 and of.basin(held, [0.005], 2, 2, rate=16).basin.near == 0.5  # 0.81 a period leaves more
+    first = of.basin(held, [0.005], 6, 50, rate=64).basin
+    soon, again = (of.basin(held, [0.005], 2, 2, rate=16).basin for _ in range(2))
+    assert first.rows[0].returned == 6 and np.array_equal(soon.rows[0].peak, again.rows[0].peak)
+    assert first.near == 0.01 and soon.near == 0.5  # 0.81 a period leaves more
     assert 0 < first.rows[0].rms[0] < first.rows[0].peak[0] < 1.0
     starts, places = disturbed(held, build_model(held.system), np.full(4, 0.2), 3)
     on = law_of(held).at(places)[:, :6]
@@ -309,11 +310,11 @@ def test_without_gains_nothing_returns(held):
 def test_torque_stays_within_its_limits_and_noise_is_told_from_return(held):
     """A tenth of a newton metre still brings back a hundredth; what noise does by itself counts as having returned."""
     limited = replace(held, limits={"torque2": (-0.1, 0.1)})
-    rows = of.basin(limited, [0.01], 6, 40, rate=64).basin.rows
+    rows = of.basin(limited, [0.01], 6, 40, rate=32).basin.rows
     assert rows[0].returned == 6 and rows[0].peak[0] == 0.1
     run = of.recovery(limited, 0.3, 2)
     assert np.abs(run.controls).max() == 0.1 and run.states.shape == (400, 6) and run.distance[0] <= 0.31
-    assert of.basin(limited, [0.01], 6, 15, noise=1e-3, rate=64).basin.rows[0].returned == 6
+    assert of.basin(limited, [0.01], 6, 15, noise=1e-3, rate=32).basin.rows[0].returned == 6
 
 
 @pytest.mark.slow
@@ -370,18 +371,18 @@ def test_a_gait_is_held(gait, walker):
 
 
 def test_planted_laws_of_a_gait(walker):
-    cut = walker.gains * (np.arange(len(walker.gains)) < len(walker.gains) / 2)[:, None]
     assert failed(verified(replace(walker, gains=-walker.gains))) == ["multipliers", "agreement", "automaton"]
-    assert "agreement" in failed(verified(replace(walker, gains=cut)))
     early = walker.states.copy()
     early[-1] -= 1e-6 * (early[-1] - early[-2])  # not at the guard yet
-    assert "reference" in failed(verified(replace(walker, states=early)))
+    assert "reference" in failed(verified(replace(walker, states=early, gains=-walker.gains)))
 
 
 @pytest.mark.slow
 def test_planted_gains_of_another_gait_and_limits_that_cut_the_law_off(walker):
     other = of.stabilise(walking(0.09))
     assert failed(verified(replace(walker, gains=other.gains))) == ["agreement"]
+    cut = walker.gains * (np.arange(len(walker.gains)) < len(walker.gains) / 2)[:, None]
+    assert "agreement" in failed(verified(replace(walker, gains=cut)))
     small = dict.fromkeys(walker.actuators, (-0.01, 0.01))
     assert failed(verified(replace(walker, limits=small))) == ["automaton"]
 
@@ -505,8 +506,8 @@ def test_exported_programs_do_what_the_package_does(held, tmp_path):
         command = [compiler, "-std=c99", "-Wall", "-Werror", "-pedantic", "-ffp-contract=off", "main.c", "-o", "held"]
         subprocess.run([*command, "-lm"], cwd=tmp_path, check=True)
         programs.append([str(tmp_path / "held")])
-    law, states = law_of(limited), disturbed(limited, build_model(held.system), np.array([0.01, 0.1, 0.5]), 1)[0]
-    states[2, 0] += 2 * np.pi  # whole turns are no deviation
+    law, states = law_of(limited), disturbed(limited, build_model(held.system), np.array([0.1, 0.5]), 1)[0]
+    states[1, 0] += 2 * np.pi  # whole turns are no deviation
     for x in states:
         for tail in ([], [1.0]):
             u, tau = law(x, tail[0] if tail else law.start(x)[0])
