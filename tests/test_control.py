@@ -325,7 +325,7 @@ def test_a_controlled_orbit_is_saved_loaded_and_verified(tmp_path: Path) -> None
     assert (tmp_path / "controls.png") in of.save_figures(orbit, tmp_path)
     times, values = history(orbit.control, orbit.period)  # type: ignore[arg-type]
     assert times[-1] == pytest.approx(orbit.period) and values[0] == pytest.approx(values[-1], abs=1e-12)
-    for refused in (lambda: of.export_orbit(orbit, "c", tmp_path), lambda: of.prove(orbit)):
+    for refused in (lambda: of.export_orbit(orbit, "julia", tmp_path), lambda: of.prove(orbit)):
         with pytest.raises(InputError, match="is a controlled orbit"):
             refused()
 

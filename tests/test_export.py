@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import runpy
 import shutil
 import subprocess
 from dataclasses import replace
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from conftest import pendulum_period
+from scipy.integrate import solve_ivp
 
 import orbitfinder as of
 from benchmarks.validation.literature import EIGHT_PERIOD, three_bodies
@@ -25,7 +27,7 @@ from orbitfinder.exports import source
 from orbitfinder.exports.auto import ENERGY, PERIOD, auto_files
 from orbitfinder.exports.formats import FORMATS, Format
 from orbitfinder.exports.julia import julia_files
-from orbitfinder.exports.source import FORTRAN, C, dense_states, fortran_number, source_of, straight_line
+from orbitfinder.exports.source import FORTRAN, C, dense_states, fortran_number, source_of, straight_line, word_of
 from orbitfinder.exports.write import export_orbit
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import altered, vector_field
@@ -332,6 +334,37 @@ def test_command_writes_beside_or_where_told(tmp_path, to, names):
     assert result.exit_code == 0
     assert result.stdout.split() == [str(tmp_path / "new" / name) for name in names]
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == sorted(names)
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    "name", [pytest.param("compass-level", marks=pytest.mark.slow), "maintained-oscillator", "hopping-monopod"]
+)
+def test_controls_are_in_the_csv_and_drive_the_motion_from_c_and_python(tmp_path, name):
+    """The first arc by SciPy under the exported Python ends where the record says; C and the table say the same."""
+    orbit = of.load_orbit(ROOT / "docs" / "gallery" / "orbits" / f"control-{name}.json")
+    model, control = build_model(orbit.system), orbit.control
+    (table,), (source, script) = (export_orbit(orbit, to, tmp_path) for to in ("csv", "c"))
+    assert table.read_text().splitlines()[0].split(",") == ["t", *model.state_names, *control["names"]]
+    rows = np.loadtxt(table, delimiter=",", skiprows=1)
+    back = read_trajectory(tmp_path, table.name, len(model.state_names), not model.smooth, model.controls)
+    np.testing.assert_array_equal(back.states, rows[:, 1 : 1 + len(model.state_names)])
+    program = runpy.run_path(str(script))
+    command = ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", str(source), "-o", "u.so", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    act, found = ctypes.CDLL(str(tmp_path / "u.so"))[f"{word_of(orbit.name)}_control"], np.empty(len(control["names"]))
+    inside = np.flatnonzero((np.diff(rows[:, 0], append=np.inf) > 0) & (rows[:, 0] < orbit.period))
+    for row in rows[inside[::8]]:
+        act(ctypes.c_double(row[0]), ctypes.c_void_p(found.ctypes.data))
+        np.testing.assert_allclose(program["control"](row[0]), row[1 + len(model.state_names) :], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found, program["control"](row[0]), rtol=1e-12, atol=1e-12)
+    last = np.flatnonzero(np.diff(rows[:, 0], append=0.0) <= 0)[0]  # of the first arc
+    field = vector_field(model if model.smooth else model.arcs[0][0].model, control["names"])
+    end = solve_ivp(
+        lambda t, x: field(t, x, [], program["control"](t)).full().ravel(), (0.0, rows[last, 0] * (1 - 1e-12)),
+        rows[0, 1 : 1 + len(model.state_names)], method="DOP853", rtol=1e-7, atol=1e-9, max_step=orbit.period / 40,
+    ).y[:, -1]  # fmt: skip
+    np.testing.assert_allclose(end, rows[last, 1 : 1 + len(model.state_names)], atol=1e-6)
 
 
 def edited(tmp_path, **changes):

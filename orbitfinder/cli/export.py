@@ -25,7 +25,8 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
     """Write each ORBIT.json for another program, or what has many points as a table.
 
     csv: times and states, as `csv` in [guess] reads them. auto: NAME.f90, c.NAME and NAME.dat for AUTO-07p
-    (then: @r NAME). julia: NAME.jl for BifurcationKit.jl. c: the right-hand side in plain C.
+    (then: @r NAME). julia: NAME.jl for BifurcationKit.jl. c: the right-hand side in plain C;
+    of a controlled orbit its controls in time, in C and Python.
     Of a controller.json csv are its gains, c itself in C and Python. Families, equilibria, optima, tori
     and maps are tables, csv, parquet or json: NAME.csv a row a point, NAME-events.csv and NAME-ends.csv what happens.
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.

@@ -39,6 +39,7 @@ def stabilise(
 
     Which joints can do it is printed, and refused with the reason where they cannot. Writes the controller with its
     certificate (the multipliers of the nonlinear closed loop) and basin, its gains as CSV, and itself in C and Python.
+    A walker's step may end with an impact: the law then begins anew after it, and kicks are simulated too.
     A trial that was killed goes on where it stopped when the same command is given again, or with more --periods.
     Exit code 0: stabilised; 1: not.
 

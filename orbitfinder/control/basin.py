@@ -3,13 +3,15 @@
 The controller is the one that is exported, sampled: it measures the state, with noise where asked, finds its place on
 the orbit and holds the controls, within their limits, until the next sample. All disturbed motions go side by side by
 the eighth-order march. They are seeded: directions are uniform on the sphere, in extents of the orbit, their places on
-it uniform in time.
+it uniform in time. Of a hybrid system the guard of the period's event is watched from sample to sample; a motion whose
+mode does not hold, or that another event ends, is lost.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -126,8 +128,7 @@ def basin(
             np.maximum(most, far, out=most)
             if period % -(-periods // 25) == 0 or period == periods:
                 journal.add({"period": period, "motions": packed(np.column_stack(now()))})
-    left = np.abs(controller.multipliers).max() ** (periods - 1)  # of a disturbance, by the largest multiplier
-    near = float(np.clip(10.0 * left, 0.01, 0.5))  # a motion has returned that stays within this share of it
+    near = controller.near(periods - 1)  # a motion has returned that stays within this share of a disturbance
     back = far <= near * pushed + 3 * most[-1]
     rows = []
     for k, size in enumerate(sizes):
@@ -175,12 +176,13 @@ def recovery(
     _check([size], 1, periods, noise, rate)
     plan = _Plan(*disturbed(controller, model, np.array([size]), seed), periods, rate, noise, seed)
     trial, samples = _Trial(controller, model, plan), list[tuple[np.ndarray, np.ndarray, float]]()
+    times = list[float]()
     for _ in range(periods * rate):
+        times.append(float(trial.elapsed[0]))
         state = trial.states[0]
         _, controls, distance = trial.sample()
         samples.append((state, controls[0], float(distance[0])))
-    times = np.arange(len(samples)) * (controller.period / rate)
-    return Recovery(times, *(np.array(part) for part in zip(*samples, strict=True)))
+    return Recovery(np.array(times), *(np.array(part) for part in zip(*samples, strict=True)))
 
 
 def _check(sizes: Sequence[float], disturbances: int, periods: int, noise: float, rate: int) -> None:
@@ -201,6 +203,8 @@ def disturbed(controller: Controller, model: Model, sizes: np.ndarray, seed: int
     random = np.random.default_rng(seed)
     places = random.uniform(0.0, controller.period, sizes.size)
     directions = random.normal(size=(sizes.size, controller.units.size))
+    if not model.smooth:
+        return _above(controller, model, sizes, places, directions, random)
     on = law_of(controller).at(places)[:, : controller.units.size]
     if model.constraint is not None:
         level = constraint_rows(model)
@@ -211,6 +215,68 @@ def disturbed(controller: Controller, model: Model, sizes: np.ndarray, seed: int
     if model.constraint is not None:
         pushed = np.array([_assembled(model, x) for x in pushed])
     return pushed, places
+
+
+def _above(
+    controller: Controller, model: Model, sizes: np.ndarray, places: np.ndarray, directions: np.ndarray,
+    random: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Pushed states and their places, drawn again where they are beyond the guard of an event that has not come yet."""
+    law, watch = law_of(controller), _Watch(model, controller.actuators, controller)
+    for _ in range(1000):
+        lengths = np.linalg.norm(directions, axis=1, keepdims=True)
+        on = law.at(places)
+        pushed = on[:, : law.size] + sizes[:, None] * directions / lengths * controller.units
+        beyond = watch.crossed(pushed, on[:, law.size : law.size + law.controls], sizes > 0).any(axis=1)
+        if not beyond.any():
+            break
+        places[beyond] = random.uniform(0.0, controller.period, int(beyond.sum()))
+        directions[beyond] = random.normal(size=(int(beyond.sum()), law.size))
+    return pushed, places
+
+
+class _Watch:
+    """The events that end the only mode of a hybrid Model's period, and what holds in it, at many states at once."""
+
+    def __init__(self, model: Model, names: Sequence[str], controller: Controller) -> None:
+        mode, transition = model.arcs[0]
+        leaving = (transition, *(each for each in model.hybrid.leaving(mode.name) if each is not transition))
+        x, u = ca.MX.sym("x", len(model.state_names)), ca.MX.sym("u", len(names))
+        p, self.count = model.parameters(names, u), len(leaving)
+        heights = [each.direction * each.guard(x, p) for each in leaving]
+        counts = [1.0 if each.allowed is None else each.allowed(x, p) for each in leaving]
+        held = ca.vertcat(*heights, *counts, *(hold(x, p) for hold in mode.holds.values()))
+        both = map(ca.densify, (held, transition.reset(x, p)))
+        self._seen, self._reset = (ca.Function("watch", [x, u], [values]) for values in both)
+        self._lanes = Lanes()
+        own = self.seen(controller.states, controller.inputs)[:, 2 * self.count :]
+        self._least = -1e-9 * np.abs(own).max(axis=0)
+
+    def seen(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Heights of all guards (below 0 before they are crossed), whether they count, what holds (k x ...)."""
+        return self._lanes.evaluated(self._seen, 1, x, u)
+
+    def crossed(self, x: np.ndarray, u: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """Which guards (k x e) are beyond 0 where they were not `before`, and count."""
+        seen, e = self.seen(x, u), self.count
+        return np.asarray(before.reshape(len(x), -1) & (seen[:, :e] >= 0) & (seen[:, e : 2 * e] > 0))
+
+    def breaks(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Where (k) something does not hold."""
+        return np.asarray(np.any(self.seen(x, u)[:, 2 * self.count :] < self._least, axis=1))
+
+    def after(
+        self, step: Callable[[np.ndarray], np.ndarray], u: np.ndarray, span: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """How long (k) motions go on before the event within a step of so many seconds, and the states after it."""
+        spans = np.zeros(len(u)), np.full(len(u), span)
+        heights = [self.seen(step(each), u)[:, 0] for each in spans]
+        for _ in range(6):  # secant steps from both ends of what is nearly a line
+            rise, moved = heights[1] - heights[0], spans[1] - spans[0]
+            back = np.divide(heights[1] * moved, rise, out=np.zeros(len(u)), where=rise != 0.0)
+            spans = spans[1], np.clip(spans[1] - back, 0.0, span)
+            heights = [heights[1], self.seen(step(spans[1]), u)[:, 0]]
+        return spans[1], self._lanes.evaluated(self._reset, 1, step(spans[1]), u)
 
 
 def _assembled(model: Model, state: np.ndarray) -> np.ndarray:
@@ -232,6 +298,8 @@ class _Trial:
         self.states, self.times, self.lost = plan.states.copy(), plan.times.copy(), np.zeros(len(plan.states), bool)
         self.places = self.times.copy() if self.law.clock else self.law.start(self.states)
         self._step, self._lanes = plant_step(model, controller.actuators), Lanes()
+        self._watch = None if model.smooth else _Watch(model, controller.actuators, controller)
+        self.elapsed = np.zeros(len(plan.states))
 
     def pass_over(self, samples: int) -> None:
         """Draw the noise of samples that are known."""
@@ -248,11 +316,22 @@ class _Trial:
         wanted = law.at(tau)[:, : law.size + law.controls]
         gap = np.sqrt(law.gap(x, wanted[:, : law.size]) ** 2 @ (1 / self.units**2))
         self.lost = self.lost | ~(gap <= 100.0)  # extents off the orbit: given up
-        z, p = np.column_stack([self.times, x]), np.column_stack([np.full(len(x), self.span), u])
-        x = self._lanes.evaluated(self._step, STAGES, z, p)[:, 1:]
-        gone = self.lost | ~np.isfinite(x).all(axis=1)
-        self.states = np.where(gone[:, None], law.rows[0, : law.size], x)
+        spans, every = np.full(len(x), self.span), np.arange(len(x))
+
+        def after(spans: np.ndarray, rows: np.ndarray) -> np.ndarray:
+            z, p = np.column_stack([self.times, x])[rows], np.column_stack([spans, u[rows]])
+            return self._lanes.evaluated(self._step, STAGES, z, p)[:, 1:]
+
+        ends = after(spans, every)
         self.times, self.places = self.times + self.span, tau + self.span
+        if self._watch is not None:
+            crossed = self._watch.crossed(ends, u, self._watch.seen(x, u)[:, : self._watch.count] < 0)
+            self.lost = self.lost | self._watch.breaks(x, u) | crossed[:, 1:].any(axis=1)
+            if (struck := np.flatnonzero(crossed[:, 0])).size:
+                spans[struck], ends[struck] = self._watch.after(partial(after, rows=struck), u[struck], self.span)
+                self.times[struck] = self.places[struck] = 0.0
+        gone = self.lost | ~np.isfinite(ends).all(axis=1)
+        self.states, self.elapsed = np.where(gone[:, None], law.rows[0, : law.size], ends), self.elapsed + spans
         return wanted[:, law.size :], u, np.where(self.lost, np.inf, gap)
 
 

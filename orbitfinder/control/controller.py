@@ -78,6 +78,7 @@ class Controller(Shown):
         certificate: its checks.
         basin: what `of.basin` measured.
         provenance: how it was designed.
+        event: the transition that ends a period of a hybrid system, after which tau begins anew at 0; "" without.
 
     Examples:
         >>> bool(np.abs(controller.multipliers).max() < 1)
@@ -108,11 +109,17 @@ class Controller(Shown):
     certificate: Certified = None
     basin: Basin | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    event: str = ""
 
     @property
     def stabilised(self) -> bool:
         """True where the certificate holds: the nonlinear closed loop's multipliers are inside the unit circle."""
         return certified(self)
+
+    def near(self, periods: int) -> float:
+        """The share of a disturbance that may be left after so many periods: ten times what the largest multiplier
+        leaves, from a hundredth to half."""
+        return float(np.clip(10.0 * np.abs(self.multipliers).max() ** periods, 0.01, 0.5))
 
     def _check(self) -> None:
         rows, d = self.states.shape if self.states.ndim == 2 else (0, 0)

@@ -20,7 +20,7 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.reading import plain_numbers, write_atomically
 
-TABLE = ("period", "clock", "units", "angles", "states", "inputs", "gains", "actuators", "limits")
+TABLE = ("period", "clock", "event", "units", "angles", "states", "inputs", "gains", "actuators", "limits")
 """What of a controller its law needs"""
 
 
@@ -75,10 +75,13 @@ def gains_text(controller: Controller, states: tuple[str, ...]) -> str:
 
 
 def _heading(controller: Controller, states: tuple[str, ...]) -> list[str]:
-    measured = "the time (s), which the controller keeps" if controller.clock else "its place on the orbit (s)"
+    since = f" since the last {controller.event}" if controller.event else ""
+    kept = f"the time (s){since}, which the controller keeps"
+    measured = kept if controller.clock else "its place on the orbit (s)"
     return [
         f"Holds {controller.name!r} (period {controller.period!r} s) by {', '.join(controller.actuators)}.",
         f"State: {', '.join(states)}; tau: {measured}.",
+        *([f"After every {controller.event} tau begins anew: go on from tau = 0."] if controller.event else []),
         f"Largest multiplier of the nonlinear closed loop: {abs(controller.multipliers).max():.6g}.",
         f"Written by orbitfinder {__version__}.",
     ]
@@ -129,13 +132,18 @@ static const double WORD_basis[6][6] = {
   {1, 26, 66, 26, 1, 0}, {-5, -50, 0, 50, 5, 0}, {10, 20, -60, 20, 10, 0},
   {-10, 20, 0, -20, 10, 0}, {5, -20, 30, -20, 5, 0}, {-1, 5, -10, 10, -5, 1}};
 
+/* The place tau in the period. */
+static double WORD_within(double tau)
+{
+  WITHIN
+}
+
 /* The first `width` entries of the row at tau, or their derivatives of an order. */
 static void WORD_at(double tau, int width, int order, double *row)
 {
-  const double step = WORD_period / WORD_nodes;
-  double where = fmod(tau, WORD_period), weight[6];
+  const double step = WORD_period / WORD_nodes, where = WORD_within(tau) / step;
+  double weight[6];
   int i, j, n, k;
-  where = (where < 0 ? where + WORD_period : where) / step;
   k = where < WORD_nodes ? (int)where : WORD_nodes - 1;
   for (j = 0; j < 6; j++) {
     double sum = 0.0;
@@ -178,8 +186,7 @@ static double WORD_follow(const double *x, double tau, int times)
     move = along / fmax(steep - curved, steep / 2);
     tau += fmin(fmax(move, -WORD_period / 16), WORD_period / 16);
   }
-  tau = fmod(tau, WORD_period);
-  return tau < 0 ? tau + WORD_period : tau;
+  return WORD_within(tau);
 }
 
 /* The place of the orbit that is nearest to a state: where to begin. */
@@ -187,7 +194,7 @@ double WORD_start(const double *x)
 {
   double row[WORD_row], least = HUGE_VAL, tau = 0.0;
   int i, k;
-  for (k = 0; k < WORD_nodes; k++) {
+  for (k = 0; k < WORD_nodes + EVENT; k++) {
     double sum = 0.0;
     WORD_at(k * WORD_period / WORD_nodes, WORD_states, 0, row);
     for (i = 0; i < WORD_states; i++) sum += pow(WORD_gap(x[i], row[i], i) / WORD_units[i], 2);
@@ -223,7 +230,9 @@ def c_text(controller: Controller, states: tuple[str, ...]) -> str:
         "PERIOD": c_number(own.period), "UNITS": c_numbers(own.units), "ANGLES": c_numbers(own.angles),
         "LOW": _bounds(own.low), "HIGH": _bounds(own.high),
         "SPLINE": ",\n".join(f"  {{{c_numbers(row)}}}" for row in own.spline),
-        "FOLLOWED": f"fmod(tau, {word}_period)" if own.clock else f"{word}_follow(x, tau, 2)",
+        "FOLLOWED": f"{word}_within(tau)" if own.clock else f"{word}_follow(x, tau, 2)", "EVENT": str(int(own.event)),
+        "WITHIN": f"return fmin(fmax(tau, 0.0), {word}_period);" if own.event else
+                  f"tau = fmod(tau, {word}_period);\n  return tau < 0 ? tau + {word}_period : tau;",
     }  # fmt: skip
     return re.sub(r"\b[A-Z]+\b", lambda name: numbers.get(name[0], name[0]), C_FILE.replace("WORD", word))
 

@@ -21,9 +21,11 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import __version__
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.control.basin import disturbed
 from orbitfinder.control.controller import Controller
 from orbitfinder.control.export import law_of
 from orbitfinder.control.riccati import periodic
+from orbitfinder.control.strikes import left
 from orbitfinder.control.transverse import EFFORT, STEPS, Reference, authority
 from orbitfinder.errors import InputError, closest
 from orbitfinder.integrate.march import March, uniform
@@ -33,7 +35,7 @@ from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.closure import shift
 from orbitfinder.orbits.measure import versions
-from orbitfinder.records.certificate import Certificate, at_most
+from orbitfinder.records.certificate import Certificate, Check, at_most
 from orbitfinder.records.orbit import Orbit
 
 LEAST_NODES = 256
@@ -51,6 +53,9 @@ class Required:
     """difference of well-conditioned multipliers between linear design and nonlinear closed loop"""
     closed: float = 1e-8
     """gap, in extents, between what it takes for the orbit and the motion of its model from node to node"""
+    kick: float = 0.01
+    """size, in extents, of disturbances that the simulation of a hybrid closed loop brings back"""
+    kicks: int = 2
     recorded: float = 1e-6
     """difference of recorded multipliers of the closed loop from those computed again"""
 
@@ -140,9 +145,10 @@ class _Plant:
 def _plant(orbit: Orbit, model: Model | None, actuators: Sequence[str] | None) -> _Plant:
     """What may act on the motion; `InputError` for orbits that are not held yet, and for what does not act."""
     own = model or build_model(orbit.system)
-    if not own.smooth:
+    if len(own.cycle) > 1:
         raise InputError(
-            f"{orbit.name}: a hybrid orbit; feedback is for motions without impacts so far; give a smooth one"
+            f"{orbit.name}: {len(own.cycle)} events in a period ({', '.join(own.cycle)}); feedback is for motions with "
+            "at most 1 so far, as a walker's step; give such an orbit"
         )
     if getattr(orbit, "control", None):
         raise InputError(
@@ -184,13 +190,14 @@ def reference_of(
 ) -> Reference:
     """The orbit at `least` or more equal times over its period, an even number, each from the nearest recorded state;
     measured in units of its own, or of a former one."""
-    base = orbit.samples[:-1] if len(orbit.samples) > 2 and _equal(orbit.times) else orbit.nodes
+    smooth = model.smooth
+    base = orbit.samples[:-1] if smooth and len(orbit.samples) > 2 and _equal(orbit.times) else orbit.nodes
     steps = -(-least // len(base))
     steps += steps * len(base) % 2
     field = vector_field(model, ())
     march = March(field, model.forced, effort=EFFORT)
     states = march.states(base, uniform(1.0, len(base), steps), np.array([orbit.period]))
-    states[::steps] = [*base, base[0] + shift(orbit.winding, base.shape[1])]
+    states[::steps] = [*base, base[0] + shift(orbit.winding, base.shape[1]) if smooth else states[-1]]
     units = extents_of(model, states, orbit.period) if like is None else like.units
     return Reference(model, tuple(names), orbit.period, states, units, clock)
 
@@ -247,10 +254,11 @@ def _regulated(orbit: Orbit, reference: Reference, weight: np.ndarray, ease: np.
     """K = R^-1 B^T E P E^T at every node, in the model's units."""
     inverse, units = np.linalg.inv(ease), reference.control_units
     regulator = periodic(reference.pieces(weight, inverse))
-    by_control = np.concatenate([reference.slopes[1], reference.slopes[1][:1]]) * units
-    lifted = reference.bases @ regulator.solutions @ reference.bases.transpose(0, 2, 1)
+    by_control = np.take(reference.slopes[1], range(len(reference.states)), axis=0, mode="wrap") * units
+    lifted = reference.bases @ regulator.solutions[: len(by_control)] @ reference.bases.transpose(0, 2, 1)
     gains = units[:, None] * (inverse @ by_control.transpose(0, 2, 1) @ lifted) / reference.units
-    gains[-1] = gains[0]
+    if reference.model.smooth:
+        gains[-1] = gains[0]
     count, angles = len(gains), np.zeros(reference.units.size)
     angles[: reference.model.angular.size] = reference.model.angular
     return Controller(
@@ -260,7 +268,7 @@ def _regulated(orbit: Orbit, reference: Reference, weight: np.ndarray, ease: np.
         weight_state=weight, weight_control=ease, control_units=units,
         open_loop=_sorted(np.linalg.eigvals(reference.reach().transition)),
         predicted=_sorted(np.linalg.eigvals(regulator.monodromy)), multipliers=np.zeros(0, complex), authority={},
-        provenance=_provenance(orbit),
+        provenance=_provenance(orbit), event="".join(reference.model.cycle),
     )  # fmt: skip
 
 
@@ -318,14 +326,15 @@ def verified(controller: Controller, model: Model | None = None) -> Controller:
     varied = march.varied(nodes, uniform(1.0, count, STEPS), np.array([controller.period]))
     monodromy = reduce(lambda before, after: after @ before, varied.transitions)
     units = extents_of(model, controller.states, controller.period)  # its own could hide any gap
-    around = controller.states[-1] - controller.states[0]
-    around[controller.angles > 0] -= 2 * np.pi * np.round(around[controller.angles > 0] / (2 * np.pi))
-    missed = np.vstack([varied.ends - controller.states[1:], around])
-    gap = float(np.abs(missed / np.minimum(units, controller.units)).max())
     ends = controller.states[[0, -1]]
+    around, early = _round(model, ends[1])
+    around -= ends[0]
+    around[controller.angles > 0] -= 2 * np.pi * np.round(around[controller.angles > 0] / (2 * np.pi))
+    missed = np.vstack([varied.ends - controller.states[1:], around, early])
+    gap = float(np.abs(missed / np.minimum(units, controller.units)).max())
     own = Reference(model, controller.actuators, controller.period, ends, controller.units, controller.clock)
-    across = own.bases[0]
-    reduced = across.T @ (monodromy * controller.units / controller.units[:, None]) @ across
+    across, scaled = own.bases[0], monodromy * controller.units / controller.units[:, None]
+    reduced = across.T @ (scaled if own.jump is None else own.jump @ scaled) @ across
     multipliers, left, right = eig(reduced, left=True, right=True)
     sharp = np.abs(np.einsum("ik,ik->k", left.conj(), right))  # 1 / condition
     checks = (
@@ -335,7 +344,29 @@ def verified(controller: Controller, model: Model | None = None) -> Controller:
         at_most("agreement", _apart(multipliers, controller.predicted, sharp), REQUIRED.alike,
                  "of the multipliers with the linear design, over their condition"),
     )  # fmt: skip
-    return replace(controller, multipliers=_sorted(multipliers), certificate=Certificate(checks))
+    made = replace(controller, multipliers=_sorted(multipliers))
+    return replace(made, certificate=Certificate(checks if model.smooth else (*checks, _brought_back(made, model))))
+
+
+def _brought_back(controller: Controller, model: Model) -> Check:
+    """What the automaton, simulated with the law within its limits, leaves of kicks, by their size."""
+    largest = float(np.abs(controller.multipliers).max())
+    count = int(np.ceil(np.log(1e-3) / np.log(np.clip(largest, 0.03, 0.5))))
+    kicks = disturbed(controller, model, np.full(REQUIRED.kicks, REQUIRED.kick), 0)
+    worst = float(left(controller, model, *kicks, count).max()) / REQUIRED.kick if largest < 1 else np.inf
+    told = f"of {REQUIRED.kicks} kicks of {REQUIRED.kick:g} extents, simulated for {count} events: what is left"
+    return at_most("automaton", worst, controller.near(count), told)
+
+
+def _round(model: Model, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the next period begins, after the event of a hybrid one; and how far the last state is from its guard."""
+    if model.smooth:
+        return last.copy(), np.zeros(last.size)
+    mode, transition = model.arcs[0]
+    p = model.parameter_values
+    rate = mode.model.rate(0.0, last, p).full().ravel()
+    early = float(transition.guard(last, p)) / float(transition.slope(last, p) @ rate)
+    return transition.reset(last, p).full().ravel(), early * rate
 
 
 def certify_controller(controller: Controller, model: Model | None = None) -> Certificate:

@@ -8,6 +8,9 @@ What is orthogonal to n at a node, under constraints in their tangent space, has
 The Hamiltonian system of a regulator of weights P Q P and R, P = 1 - n n^T, in all d components keeps l.g = 0, so that
 the same bases reduce it. Followed by the clock, all deviations count: P = 1, m = d.
 
+An impact is one more piece, E+^T J E-: J = DR (1 - f- grad g / (grad g . f-)) makes deviations right after it, at
+whatever time, from those at the time of the orbit's own. After it the controller, or its clock, begins anew.
+
 Source: J. Hauser, C. C. Chung, Converse Lyapunov functions for exponentially stable periodic orbits, Systems & Control
 Letters 23 (1994) 27-34; A. Shiriaev, L. Freidovich, S. Gusev, IEEE Trans. Automatic Control 55 (2010) 893-906.
 """
@@ -25,6 +28,7 @@ from orbitfinder.control.riccati import Scattering, whole
 from orbitfinder.integrate.march import March, uniform
 from orbitfinder.loops.scales import control_sizes
 from orbitfinder.mechanics.constrained import constraint_rows, tangent_basis
+from orbitfinder.mechanics.hybrid import saltation
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.orbits.floquet import complement
 
@@ -54,12 +58,21 @@ class Reference:
         return np.asarray(self.model.parameters().full().ravel()[[self.model.parameter_index(n) for n in self.names]])
 
     @cached_property
+    def jump(self) -> np.ndarray | None:
+        """J (d x d, in units) of the event that ends the period."""
+        if self.model.smooth:
+            return None
+        mode, transition = self.model.arcs[0]
+        made = saltation(mode.model, transition, None)(self.states[-1], self.model.parameter_values).full()
+        return np.asarray(made * self.units / self.units[:, None])
+
+    @cached_property
     def bases(self) -> np.ndarray:
-        """E (N + 1 x d x m), the last one the first."""
+        """E (N + 1 x d x m), the last one the first, or where an event ends the period its own."""
         rates = self.slopes[0][:, : 0 if self.clock else 1, :]
         if self.model.constraint is None:
             bases = [complement(np.zeros((0, self.units.size)), rate) for rate in rates]
-            return np.array([*bases, bases[0]])
+            return np.array(bases if self.jump is not None else [*bases, bases[0]])
         bases, level = [], constraint_rows(self.model)
         for state, rate in zip(self.states[:-1], rates, strict=True):
             tangent = tangent_basis(level(state).full() * self.units)
@@ -68,10 +81,10 @@ class Reference:
 
     @cached_property
     def slopes(self) -> tuple[np.ndarray, np.ndarray]:
-        """g (N x 1 x d) and dg/du (N x d x m) along the orbit."""
-        times = np.linspace(0.0, self.period, len(self.states))[:-1]
-        n, d, m = len(times), self.units.size, len(self.names)
-        slopes = _slopes(self).map(n)(times[None], self.states[:-1].T, np.tile(self.inputs[:, None], (1, n)))
+        """g (N x 1 x d) and dg/du (N x d x m) along the orbit; where an event ends it, N + 1 of them."""
+        n, d, m = len(self.states) - (self.jump is None), self.units.size, len(self.names)
+        times = np.linspace(0.0, self.period, len(self.states))[:n]
+        slopes = _slopes(self).map(n)(times[None], self.states[:n].T, np.tile(self.inputs[:, None], (1, n)))
         return slopes[0].full().T[:, None, :], slopes[2].full().reshape(d, n, m).transpose(1, 0, 2)
 
     @cached_property
@@ -95,7 +108,11 @@ class Reference:
         ends = self._march.ends(starts, uniform(1.0, count, STEPS), tail)
         blocks = ends[:, d:].reshape(count, 2, d, 2, d).transpose(3, 1, 0, 4, 2)  # CasADi's matrices are by columns
         parts = self.bases[1:].transpose(0, 2, 1) @ blocks @ self.bases[:-1]
-        return [Scattering.of(parts[:, :, k]) for k in range(count)]
+        pieces = [Scattering.of(parts[:, :, k]) for k in range(count)]
+        if self.jump is not None:
+            still = np.zeros((self.bases.shape[2],) * 2)
+            pieces.append(Scattering(self.bases[0].T @ self.jump @ self.bases[-1], still, still))
+        return pieces
 
     def reach(self, names: Sequence[str] | None = None) -> Scattering:
         """Over the period: the monodromy of deviations (m x m) and the Gramian of the controls of these names."""

@@ -15,17 +15,19 @@ class Format:
     Args:
         files: (source) -> the texts of an orbit's files by their names; of an `any_motion` (orbit, model) -> these.
         any_motion: whether orbits with events and controls have a place in it, which take no equations along.
+        controlled: (orbit, model) -> the texts of a controlled orbit's files, where those are others.
     """
 
     files: Answer
     any_motion: bool = False
+    controlled: Answer = ""
 
 
 FORMATS = Registry(Format, {
     "csv": Format("exports.write:csv_file", any_motion=True),
     "auto": Format("exports.auto:auto_files"),
     "julia": Format("exports.julia:julia_files"),
-    "c": Format("exports.c99:c_files"),
+    "c": Format("exports.c99:c_files", controlled="exports.feedforward:control_files"),
 })  # fmt: skip
 TABLES = ("csv", "parquet", "json")
 """What records of many points are written as, a row each"""

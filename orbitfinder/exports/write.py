@@ -12,6 +12,7 @@ from orbitfinder._runtime.rooms import loaded
 from orbitfinder.errors import InputError
 from orbitfinder.exports.formats import FORMATS
 from orbitfinder.exports.source import samples_of, source_of
+from orbitfinder.loops.control import controls_at
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import Orbit, refuse_controlled
@@ -25,8 +26,12 @@ def csv_text(state_names: Sequence[str], times: np.ndarray, states: np.ndarray) 
 
 
 def csv_file(orbit: Orbit, model: Model) -> dict[str, str]:
-    """NAME.csv: the samples of an orbit of any system."""
-    return {f"{orbit.name}.csv": csv_text(model.state_names, *samples_of(orbit, model))}
+    """NAME.csv: the samples of an orbit of any system, and the controls of a controlled orbit."""
+    times, states = samples_of(orbit, model)
+    if orbit.control is None:
+        return {f"{orbit.name}.csv": csv_text(model.state_names, times, states)}
+    rows = np.hstack([states, controls_at(orbit.control, orbit.period, times)])
+    return {f"{orbit.name}.csv": csv_text([*model.state_names, *orbit.control["names"]], times, rows)}
 
 
 def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None = None) -> list[Path]:
@@ -50,7 +55,8 @@ def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None 
     """
     if to not in FORMATS:
         raise InputError(f"to: unknown format {to!r}; use one of {', '.join(FORMATS)}")
-    write, any_motion = loaded(FORMATS[to].files), FORMATS[to].any_motion
+    acts = FORMATS[to].controlled if orbit.control is not None else ""
+    write, any_motion = loaded(acts or FORMATS[to].files), FORMATS[to].any_motion or bool(acts)
     if not any_motion:
         refuse_controlled(orbit, "to")
     model = model or build_model(orbit.system)

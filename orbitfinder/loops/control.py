@@ -228,17 +228,44 @@ def basis_of(entry: Mapping[str, Any]) -> Basis:
 
 def history(entry: Mapping[str, Any], period: float, looks: int = 16) -> tuple[np.ndarray, np.ndarray]:
     """Times (k) and values (k x m) of a record's controls over its period, instants where intervals meet twice."""
-    basis, rows = basis_of(entry), np.array(entry["coefficients"], float)
-    shares = list(entry.get("shares", {}).values())
-    parts = np.repeat([*shares, 1.0 - sum(shares)], basis.each) / basis.each if basis.arcs else np.full(
-        basis.intervals, 1.0 / basis.intervals)  # fmt: skip
-    inside, times, values, began = np.linspace(0.0, 1.0, looks + 1), [], [], 0.0
-    for k, part in enumerate(parts):
-        weights = np.array([[float(w) for w in basis.values(share, began + share * part)] for share in inside])
-        times.append(period * (began + inside * part))
-        values.append(weights @ rows[:, basis.picked(k)].T)
-        began += part
-    return np.concatenate(times), np.vstack(values)
+    edges = np.concatenate([[0.0], np.cumsum(_parts(entry))])
+    times = period * (edges[:-1, None] + np.linspace(0.0, 1.0, looks + 1) * np.diff(edges)[:, None]).ravel()
+    return times, controls_at(entry, period, times)
+
+
+def controls_at(entry: Mapping[str, Any], period: float, times: np.ndarray) -> np.ndarray:
+    """Values (k x m) of a record's controls at times (k, s) of its period; of a time that stands twice, as at events,
+    before and after it."""
+    basis, rows, parts = basis_of(entry), np.array(entry["coefficients"], float), _parts(entry)
+    edges, looks = np.concatenate([[0.0], np.cumsum(parts)]), times / period + 1e-12
+    looks[:-1][np.diff(times) <= 1e-13 * period] -= 2e-12
+    values = []
+    for moment, k in zip(
+        times / period, np.clip(np.searchsorted(edges, looks, "right") - 1, 0, len(parts) - 1), strict=True
+    ):
+        share = min(max((moment - edges[k]) / parts[k], 0.0), 1.0)
+        weights = np.array([float(w) for w in basis.values(share, moment)])
+        values.append(rows[:, basis.picked(int(k))] @ weights)
+    return np.array(values)
+
+
+def pieces(entry: Mapping[str, Any], period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where the intervals of a record's splines begin and the last ends (K + 1, s), and the coefficients (K x m x 4) of
+    each control's polynomial in the share of an interval."""
+    basis, rows, parts = basis_of(entry), np.array(entry["coefficients"], float), _parts(entry)
+    shares = np.linspace(0.0, 1.0, 4)
+    weights = np.array([[float(w) for w in basis.values(share, 0.0)] for share in shares])
+    powers = np.linalg.solve(np.vander(shares, increasing=True), weights)
+    made = [(powers @ rows[:, basis.picked(k)].T).T for k in range(len(parts))]
+    return period * np.concatenate([[0.0], np.cumsum(parts)]), np.array(made)
+
+
+def _parts(entry: Mapping[str, Any]) -> np.ndarray:
+    """Of each interval of a record's control its part of the period."""
+    basis, shares = basis_of(entry), list(entry.get("shares", {}).values())
+    if not basis.arcs:
+        return np.full(basis.intervals, 1.0 / basis.intervals)
+    return np.repeat([*shares, 1.0 - sum(shares)], basis.each) / basis.each
 
 
 def named(model: Model, x: Any, p: Any, period: Any = None) -> dict[str, Any]:

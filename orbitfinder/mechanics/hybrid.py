@@ -360,12 +360,13 @@ def at_numbers(parts: Hybrid | None, numbers: np.ndarray) -> Hybrid | None:
     return replace(parts, modes=tuple(modes))
 
 
-def saltation(before: Model, transition: Transition, after: Model) -> ca.Function:
-    """(x-, p) -> S = DR + (f+ - DR f-) grad g / (grad g . f-) of a transition between two modes."""
+def saltation(before: Model, transition: Transition, after: Model | None) -> ca.Function:
+    """(x-, p) -> S = DR + (f+ - DR f-) grad g / (grad g . f-) of a transition between two modes; without the one after
+    it f+ = 0, and deviations after the event, whenever it was, come from those before it at a time."""
     x, p = ca.MX.sym("x", len(before.state_names)), ca.MX.sym("p", len(before.parameter_names))
     reset, slope, late = transition.reset(x, p), transition.slope(x, p), before.rate(0.0, x, p)
     by_x = ca.jacobian(reset, x)
-    turn = after.rate(0.0, reset, p) - by_x @ late
+    turn = (0.0 if after is None else after.rate(0.0, reset, p)) - by_x @ late
     return ca.Function("saltation", [x, p], [ca.densify(by_x + turn @ slope / (slope @ late))])
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import runpy
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -294,7 +294,7 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
             f"guess.{linkage_keys[0]}: is for linkages and mechanisms only; give state and period, mode or csv"
         )
     if given.csv is not None:
-        return read_trajectory(folder, given.csv, len(model.state_names), not model.smooth)
+        return read_trajectory(folder, given.csv, len(model.state_names), not model.smooth, model.controls)
     if given.linear:
         return linear_response(model)
     if given.mode is not None and given.amplitude is not None:
@@ -332,8 +332,11 @@ def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
     return rest_near(model, model.landmarks[named])
 
 
-def read_trajectory(folder: Path, name: str, size: int, events: bool = False) -> Guess:
-    """A Guess from a CSV file in `folder` or below: columns t (twice at `events`) and `size` states, over a period."""
+def read_trajectory(
+    folder: Path, name: str, size: int, events: bool = False, controls: Sequence[str] = ()
+) -> Guess:  # fmt: skip
+    """A Guess from a CSV file in `folder` or below: columns t (twice at `events`) and `size` states, over a period; and
+    `controls`, where the header names them, which are not read."""
     source = file_beside(folder, name, "guess.csv")
     try:
         lines = file_bytes(source, "CSV file").decode("utf-8-sig").splitlines()
@@ -341,6 +344,8 @@ def read_trajectory(folder: Path, name: str, size: int, events: bool = False) ->
         raise InputError(f"guess.csv: {name!r} is not UTF-8 text; save it as plain CSV") from error
     except InputError as error:
         raise InputError(f"guess.csv: {error}") from error
+    if controls and lines and lines[0].replace(" ", "").endswith(f",{','.join(controls)}"):
+        lines = [line.rsplit(",", len(controls))[0] for line in lines]
     table = _numbers(name, lines, size, events)
     times = table[:, 0] - table[0, 0]
     return Guess(table[0, 1:].copy(), float(times[-1]), times, table[:, 1:])
