@@ -147,7 +147,7 @@ def _event(family: Family, event: int, where: str) -> Event:
         raise InputError(f"{where}: is a curve in two parameters itself; give the family that it was started from")
     known = [k for k, e in enumerate(family.events) if e.kind in FOLLOWED and not e.detail.startswith("at ")]
     listed = "; ".join(described(family, k) for k in known)
-    choice = f"choose one of {listed}" if listed else "this family has none of which one does"
+    choice = f"choose one of {listed}" if listed else "this family has none that a curve leads through"
     if not 0 <= event < len(family.events):
         raise InputError(f"event: {where} has no event {event}; {choice}")
     chosen = family.events[event]

@@ -15,7 +15,7 @@ import numpy as np
 from orbitfinder._runtime import locks
 from orbitfinder._runtime.keeping import kept
 from orbitfinder._runtime.limit import limited
-from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, LimitError, closest, plural
@@ -34,6 +34,7 @@ from orbitfinder.records.certificate import Certificate, Check, at_most, equal
 from orbitfinder.records.codec import Codec
 from orbitfinder.records.family import End, Event, Family, load_family, reached, save_family
 from orbitfinder.records.registry import kinds
+from orbitfinder.records.table import Tabled
 
 NORM, SAME, NEAR, STEP = "norm", 1e-6, 0.2, 0.25
 """What is drawn instead of a coordinate, the length of the state or its root mean square; shares of the range and of a
@@ -87,7 +88,7 @@ class Branching:
 
 
 @dataclass(frozen=True)
-class BifurcationDiagram(Shown):
+class BifurcationDiagram(Tabled):
     """Equilibria along a parameter, what is born on them, what is born on that.
 
     Args:
@@ -108,6 +109,7 @@ class BifurcationDiagram(Shown):
     """
 
     __repr__ = brief("name", "parameter", "curves", "branchings")
+    _tables = "families.table:diagram_tables"
     name: str
     system: Mapping[str, Any]
     parameter: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -331,11 +332,13 @@ def save_frequency_energy(families: Sequence[Family | Orbit], path: Path, level:
 
 def save_chosen(
     families: Sequence[Family], path: Path, across: str | None = None, up: str | None = None,
-    xlim: Sequence[float] | None = None,
+    xlim: Sequence[float] | None = None, model: Model | None = None,
 ) -> Path:  # fmt: skip
-    """Write families in other coordinates: energy, period, frequency, arclength, a parameter, a watched number.
+    """Write families in other coordinates: energy, period, frequency, arclength, a parameter, a watched number,
+    amplitude_C, min_C or max_C of a coordinate C.
 
-    `across` is by default the parameter, `up` the frequency, `xlim` the window. Raises `InputError`.
+    `across` is by default the parameter, `up` the frequency, `xlim` the window; `model` is of what no file describes.
+    Raises `InputError`.
     """
     if xlim is not None and (len(xlim) != 2 or not xlim[0] < xlim[1]):
         raise InputError(f"xlim: {list(xlim)}; give LOW,HIGH, the lower first")
@@ -343,9 +346,14 @@ def save_chosen(
         raise InputError(f"{other.name}: --across, --up and --xlim take families; leave them out")
     names = across or families[0].parameter, up or "frequency"
     figure = new_figure(8.0, 5.6, f"{_called(families)}: {names[1]} over {names[0]}")
-    axes, units = figure.subplots(), {"energy": "J", "period": "s", "frequency": "1/s"}
-    called = [f"{name} ({units[name]})" if name in units else name for name in names]
-    places = [np.column_stack([_quantity(family, name) for name in names]) for family in families]
+    model = model or build_model(families[0].system)
+    own = dict(zip(model.state_names, unit_names(model), strict=False))
+    known = {"energy": "J", "period": "s", **own, **given_units(model.system)}
+    known |= {} if "frequency" in families[0].parameters else {"frequency": "1/s"}
+    told = [known.get(re.sub("^(amplitude|min|max)_", "", name)) for name in names]
+    called = [f"{name} ({unit})" if unit else name for name, unit in zip(names, told, strict=True)]
+    axes = figure.subplots()
+    places = [np.column_stack([_quantity(family, name, model) for name in names]) for family in families]
     _curves(
         figure, axes, [Diagram(family, (called[0], called[1]), at) for family, at in zip(families, places, strict=True)]
     )
@@ -360,12 +368,17 @@ def save_chosen(
     return save_png(told_in(figure, families[0].system), path)
 
 
-def _quantity(family: Family, name: str) -> np.ndarray:
-    """A number of every point and then of every event. Raises `InputError`."""
-    if name == "frequency":
+def _quantity(family: Family, name: str, model: Model) -> np.ndarray:
+    """A number of every point and then of every event; a parameter's own name comes first. Raises `InputError`."""
+    own = (*family.parameters, *family.points[0].free, *family.points[0].watch)
+    if name == "frequency" and name not in own:
         return frequencies(family)
-    known = dict.fromkeys(["energy", "period", "frequency", "arclength", *family.parameters, *family.points[0].free,
-                           *family.points[0].watch])  # fmt: skip
+    ranges = [f"{word}_{each}" for each in model.state_names[: model.degrees_of_freedom]
+              for word in ("amplitude", "min", "max")]  # fmt: skip
+    if name in ranges and name not in own:
+        tables = family.tables(model)
+        return np.concatenate([tables[of][name] for of in ("points", "events")])
+    known = dict.fromkeys(["energy", "period", "frequency", "arclength", *own, *ranges])
     if name not in known:
         raise InputError(f"{name}: not known along {family.name}; it has {', '.join(known)}")
     read = value_of if name == "arclength" else number_of
