@@ -725,9 +725,8 @@ def test_a_body_is_drawn_as_far_as_its_spring():
 def test_the_last_body_is_drawn_to_its_end():
     """Where a uniform rod ends, not at its centre of mass; no farther than on this side of that."""
     for inertia, end in ((1 / 12, 1.0), (0.1**2 / 3, 0.6), (1e3, 1.0)):
-        model = of.mechanism(
-            {"b": {"mass": 1.0, "inertia": inertia, "com": [0.5, 0.0]}}, {"a": revolute("ground", "b")}
-        )
+        drawing = {"b": {"mass": 1.0, "inertia": inertia, "com": [0.5, 0.0]}}
+        model = of.mechanism(drawing, {"a": revolute("ground", "b")})
         places = of.positions(model, np.zeros((1, 2)))[0].T
         (body,) = (places[list(which)] for kind, which in model.strokes if kind == "rod")
         assert np.ptp(body[:, 0]) == pytest.approx(end, rel=1e-12)

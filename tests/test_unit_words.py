@@ -22,6 +22,7 @@ from orbitfinder.site.gather import gather
 
 NEURON = """
 name = "clock"
+title = "Van der Pol's clock"
 [system]
 kind = "equations"
 rates = { V = "W", W = "mu*(1 - V^2)*W - V" }
@@ -147,6 +148,7 @@ def test_guesses_sweeps_equilibria_and_chosen_axes_have_the_words(clock, monkeyp
     run("plot", family, "--up", "amplitude_V", "-o", folder)
     (axes,) = drawn[0].axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("mu (nS)", "amplitude_V (mV)")
+    assert drawn[0].get_suptitle() == "Van der Pol's clock: amplitude_V over mu"
     assert 2.0 < axes.lines[0].get_ydata().min() < 2.02
     for _ in range(2):
         run("export", family, "--to", "csv", "-o", folder / "tables")

@@ -316,6 +316,8 @@ def _request(
     """
     head: Any
     source, system = {"name": getattr(origin, "name", "")}, dict[str, Any]()
+    if title := getattr(origin, "title", ""):
+        source["title"] = title
     if isinstance(origin, Branch):
         head, kind = origin.described(), "branch"
         source = head

@@ -28,7 +28,7 @@ from orbitfinder.mechanics.scales import given_units, unit_names, units
 from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Event, Family, number_of, value_of
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.show.diagram import Diagram, frequencies, mark_of
+from orbitfinder.show.diagram import Diagram, entitled, frequencies, mark_of
 from orbitfinder.show.facts import conserves, number
 from orbitfinder.show.paths import family_paths, has_path, path_views
 from orbitfinder.show.scene import Scene, evenly, tip
@@ -345,7 +345,7 @@ def save_chosen(
     if other := next((record for record in families if not isinstance(record, Family)), None):
         raise InputError(f"{other.name}: --across, --up and --xlim take families; leave them out")
     names = across or families[0].parameter, up or "frequency"
-    figure = new_figure(8.0, 5.6, f"{_called(families)}: {names[1]} over {names[0]}")
+    figure = new_figure(8.0, 5.6, f"{entitled(*families)}: {names[1]} over {names[0]}")
     model = model or build_model(families[0].system)
     own = dict(zip(model.state_names, unit_names(model), strict=False))
     known = {"energy": "J", "period": "s", **own, **given_units(model.system)}
@@ -389,7 +389,7 @@ def gallery(family: Family, shown: Sequence[MemberMotion]) -> Figure:
     """Orbits along the family, each over one period: swept links and the path of the tip, or the path in (q1, q2)."""
     columns = min(4, len(shown))
     rows = -(-len(shown) // columns)
-    figure = new_figure(2.6 * columns, 2.9 * rows + 0.4, f"{family.name}: orbits along the family")
+    figure = new_figure(2.6 * columns, 2.9 * rows + 0.4, f"{entitled(family)}: orbits along the family")
     grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for axes, motion in zip(grid, shown, strict=False):
         _draw(axes, motion)
@@ -431,7 +431,7 @@ def frequency_energy(
     from it, which opens what gathers at a saddle or at rest. The numbers of one family are those of `--switch`.
     """
     freed = families[0].parameter if all(families[0].parameter in family.points[0].free for family in families) else ""
-    figure = new_figure(8.0, 5.6, title or f"{_called(families)}: frequency and {freed or 'energy'}")
+    figure = new_figure(8.0, 5.6, title or f"{entitled(*families)}: frequency and {freed or 'energy'}")
     axes = figure.subplots()
 
     def away(energy: float) -> float:
@@ -459,10 +459,6 @@ def frequency_energy(
     return figure
 
 
-def _called(families: Sequence[Family | Equilibria]) -> str:
-    return ", ".join(family.name for family in families)
-
-
 FAR = 4.0
 """Curves this many times as wide as their special points lie apart are drawn about those only"""
 
@@ -479,7 +475,7 @@ def two_parameters(families: Sequence[Family | Equilibria], title: str | None = 
             raise InputError(
                 f"{family.name}: varies {', '.join(family.parameters)}; give curves in {' and '.join(names)} alone"
             )
-    figure = new_figure(8.0, 5.6, title or f"{_called(families)}: bifurcations in two parameters")
+    figure = new_figure(8.0, 5.6, title or f"{entitled(*families)}: bifurcations in two parameters")
     axes, shown, labels = figure.subplots(), dict[str, Any](), list[tuple[str, float, float]]()
     for k, curve in enumerate(families):
         places = curve.places if curve.parameters == names else curve.places[:, ::-1]
@@ -524,7 +520,7 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
     most = int(np.max([size.max(axis=0) for size in sizes], axis=0).argmax())
     which = most if coordinate is None else names.index(coordinate)
     first = families[0]
-    figure = new_figure(8.0, 5.6, f"{_called(families)}: response to {first.parameter}")
+    figure = new_figure(8.0, 5.6, f"{entitled(*families)}: response to {first.parameter}")
     axes, called = figure.subplots(), (axis_name(first), f"amplitude of {axis(model, which)}")
     paired = zip(families, sizes, strict=True)
     drawn = [Diagram(family, called, np.column_stack([family.places, size[:, which]])) for family, size in paired]
@@ -561,7 +557,7 @@ def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram], plain: bool 
 
 def multipliers_plane(family: Family) -> Figure:
     """Every point's multipliers in the complex plane, inside a square a little wider than the unit circle."""
-    figure = new_figure(6.8, 5.8, f"{family.name}: Floquet multipliers")
+    figure = new_figure(6.8, 5.8, f"{entitled(family)}: Floquet multipliers")
     axes = figure.subplots()
     angle = np.linspace(0, 2 * np.pi, 361)
     axes.plot(np.cos(angle), np.sin(angle), color="0.6", linewidth=0.8)
@@ -583,7 +579,7 @@ def multipliers_along(family: Family) -> Figure:
     """|mu| (logarithmic) and the stability indices along the family, each index as one curve."""
     indices = np.stack([point.indices for point in family.points])
     paired = indices.shape[1] > 0
-    figure = new_figure(8.0, 6.4 if paired else 4.4, f"{family.name}: stability along the family")
+    figure = new_figure(8.0, 6.4 if paired else 4.4, f"{entitled(family)}: stability along the family")
     upper, lower = figure.subplots(2, 1, sharex=True) if paired else (figure.subplots(), None)
     values = family.values("value")
     sizes = np.abs(np.concatenate([point.floquet_multipliers for point in family.points]))
