@@ -138,7 +138,8 @@ def curve_start(
         raise ConvergenceError(f"event {number} of {family.name} ({chosen.kind}): {error}{lasting}") from error
     if refused := test.followed.refused(start.curve, start.solution):
         raise ConvergenceError(f"event {number} of {family.name}: {refused}; continue the family again")
-    return Branch(start, family.name, chosen, number, 0, f"{family.name}-{number}-{'-'.join(names)}")
+    name, title = f"{family.name}-{number}-{'-'.join(names)}", family.source.get("title", "")
+    return Branch(start, family.name, chosen, number, 0, name, title)
 
 
 def _event(family: Family, event: int, where: str) -> Event:

@@ -320,7 +320,8 @@ def _request(
         source["title"] = title
     if isinstance(origin, Branch):
         head, kind = origin.described(), "branch"
-        source = head
+        source = source | head
+        del source["name"]
     elif isinstance(origin, Start):
         head, kind = origin.solution.place.head.tolist(), "start"
     elif isinstance(origin, Orbit):

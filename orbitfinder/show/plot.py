@@ -50,6 +50,7 @@ from orbitfinder.show.style import (
     told_in,
     trail,
     widen,
+    with_word,
 )
 from orbitfinder.show.svg import COLOURS, axis, label
 
@@ -494,7 +495,7 @@ def two_parameters(families: Sequence[Family | Equilibria], title: str | None = 
             shown.setdefault(event.words, axes.plot(*place, **style)[0])
             if not any(words == event.words and np.allclose(place, at, rtol=1e-6) for words, *at in labels):
                 labels.append((event.words, *place))
-    dress(axes, *names)
+    dress(axes, *(with_word(name, families[0].system) for name in names))
     axes.margins(0.08)
     for k, frame in enumerate((axes.set_xlim, axes.set_ylim) if labels else ()):
         ends = [name[1:][k] for name in labels]
@@ -617,8 +618,8 @@ def unpoled(values: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def axis_name(family: Family) -> str:
     """The parameter with its unit, where that is known: of a forcing's frequency it follows from the period."""
-    if unit := given_units(family.system).get(family.parameter, ""):
-        return f"{family.parameter}\N{NO-BREAK SPACE}({unit})"  # which is no unit of SI to put another in place of
+    if family.parameter in given_units(family.system):
+        return with_word(family.parameter, family.system)
     unit = family.unit or forced_unit(
         family.values("value"), family.values("period"), family.curve.get("cycles", np.inf)
     )
