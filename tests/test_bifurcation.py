@@ -122,6 +122,9 @@ def test_records_are_read_and_doctored_ones_refused(made, tmp_path):
     again, model = load(file), pendulum().model
     assert again.counts == made.counts == "4 values, 4 motions: 1 repeat after 1 return, 3 repeat after 2 returns"
     assert np.array_equal(again.states, made.states) and verified(again, model).passed
+    rows = made.table()
+    assert np.array_equal(rows["theta"], made.states[:, 0]) and rows["torque"][-1] == TORQUES[-1]
+    assert set(rows["repeats"][rows["torque"] > 1.067]) == {2}
     moved, said = made.states.copy(), made.repeats.copy()
     moved[:, 0] += 1e-6
     said[0] = 2

@@ -267,6 +267,10 @@ def test_commands_run_foreign_systems_only_with_trust(tmp_path, monkeypatch, com
         assert "--trust" in invoke(*words, orbit).stderr
         taken = invoke(*words, orbit, "--trust")
         assert taken.exit_code == 0, taken.output
+    for more, unread in ((), True), (("--trust",), False):  # a page says that it was not run
+        assert invoke("page", orbit, "-o", "site", *more).exit_code == 0
+        (shown,) = (tmp_path / "site" / "orbits").glob("*.html")
+        assert ("it was not run; read it, then add --trust" in shown.read_text()) == unread
     (orbit.parent / "mine.py").write_text(FOREIGN.replace("1.0, cubic", "2.0, cubic"))
     other = invoke("verify", orbit, "--trust")
     assert other.exit_code == 1 and "closure" in other.stdout

@@ -71,6 +71,20 @@ def test_two_hopf_points_of_a_nerve_are_joined_by_one_family(nerve):
     assert "2 curves" not in repr(tree) and "branchings" in repr(tree)
 
 
+def test_its_tables_are_those_of_its_curves(nerve):
+    """Below each other, rests with ranges of no width; events with what became of them."""
+    tree, tables = nerve[0], nerve[0].tables(morris_lecar())
+    cycles, rest = (record(tree, curve.file) for curve in reversed(tree.curves))
+    points = tables["points"]
+    assert points["curve"] == [RESTS] * len(rest.points) + ["equilibria-0/family.json"] * len(cycles)
+    assert points["index"] == [*range(len(rest.points)), *range(len(cycles))]
+    values = [point.value for point in (*rest.points, *cycles.points)]
+    assert points["I"] == values and np.isnan(points["period"][0]) and points["period"][-1] == cycles.points[-1].period
+    assert points["min_V"][0] == points["max_V"][0] == rest.points[0].state[0] and points["amplitude_V"][0] == 0
+    assert points["amplitude_V"][-30] > 1 and np.isnan(points["V"][-30])
+    assert tables["events"]["became"][:2] == ["followed", "joined"] and "hopf" in tables["ends"]["kind"]
+
+
 def test_a_chemical_clock_ends_at_the_bound(tmp_path):
     """One Hopf point at 2, cycles to the bound exactly; in memory, then saved."""
     model = of.systems.brusselator(rate=1.8)
@@ -391,12 +405,12 @@ def test_the_command(tmp_path):
     document, home = json.loads(done.stdout), tmp_path / "out" / "own"
     assert document["undone"] == [] and document["written"] == [str(home / "diagram.json"), str(home / "diagram.png")]
     assert [curve["file"] for curve in document["curves"]] == [RESTS, "equilibria-0/family.json"]
-    for command in ("verify", "show", "plot"):
-        done = CliRunner().invoke(
-            cli, [command, str(home / "diagram.json")] + ["-o", str(tmp_path)] * (command == "plot")
-        )
+    for command, more in (("verify", []), ("show", []), ("plot", []), ("export", ["--to", "csv"])):
+        more += ["-o", str(tmp_path)] if command in ("plot", "export") else []
+        done = CliRunner().invoke(cli, [command, str(home / "diagram.json"), *more])
         assert done.exit_code == 0, done.output
         assert command != "show" or ", what event 0, supercritical hopf at rate 2 (+- " in done.output
+    assert (tmp_path / "own.csv").read_text().startswith("curve,index,rate,") and (tmp_path / "own-events.csv").exists()
     done = CliRunner().invoke(cli, [*words, "--box", "u=0:1", "--no-figures"])
     assert done.exit_code == 2 and "--box: v missing; say from where to where of each component" in done.stderr
     done = CliRunner().invoke(cli, [*words, "--points", "15", "--no-figures", "--name", "few"])

@@ -723,6 +723,16 @@ def test_a_body_is_drawn_as_far_as_its_spring():
     assert list(pulled) == [0.4, 0.0] and [0.4, 0.0] in body.tolist()
 
 
+def test_the_last_body_is_drawn_to_its_end():
+    """Where a uniform rod ends, not at its centre of mass; no farther than on this side of that."""
+    for inertia, end in ((1 / 12, 1.0), (0.1**2 / 3, 0.6), (1e3, 1.0)):
+        drawing = {"b": {"mass": 1.0, "inertia": inertia, "com": [0.5, 0.0]}}
+        model = of.mechanism(drawing, {"a": revolute("ground", "b")})
+        places = of.positions(model, np.zeros((1, 2)))[0].T
+        (body,) = (places[list(which)] for kind, which in model.strokes if kind == "rod")
+        assert np.ptp(body[:, 0]) == pytest.approx(end, rel=1e-12)
+
+
 def test_a_scara_in_its_plane_is_a_lagrangian_written_by_hand():
     problem = load_problem(GALLERY / "scara.toml")
     model, q, v = problem.model, ca.SX.sym("q", 2), ca.SX.sym("v", 2)

@@ -97,7 +97,7 @@ def test_swept_orbits_stay(tmp_path, monkeypatch, how):
     done = ran("sweep", SPRING, "--parameter", "stiffness=29,30,31,32", "--limit", 3600, "-o", tmp_path)
     assert done.exit_code == CODES[how], done.output
     folder = tmp_path / "spring-pendulum-swing"
-    rows = json.loads((folder / "sweep.json").read_text())
+    rows = json.loads((folder / "sweep.json").read_text())["rows"]
     certified = [row for row in rows if row["certified"]]
     assert len(certified) == 2 and (folder / "sweep.csv").is_file()
     files = sorted(folder.glob("*/orbit.json"))

@@ -257,7 +257,13 @@ def test_the_command(tmp_path):
     folder = tmp_path / "spring-pendulum-swing"
     lines = (folder / "sweep.csv").read_text().splitlines()
     assert len(lines) == 4 and lines[0].startswith("stiffness,certified,reason,period,energy")
-    assert json.loads((folder / "sweep.json").read_text()) == found["rows"]
+    assert json.loads((folder / "sweep.json").read_text())["rows"] == found["rows"]
+    assert "3 of 3 certified" in run("show", folder / "sweep.json")[0]
+    run("export", folder / "sweep.json", "--to", "csv", "-o", tmp_path)
+    assert (tmp_path / "spring-pendulum-swing.csv").read_text() == (folder / "sweep.csv").read_text()
+    damaged = (folder / "sweep.json").read_text().replace('"reason": ""', '"why": ""', 1)
+    (tmp_path / "damaged.json").write_text(damaged)
+    assert "rows[0]: not the columns" in run("show", tmp_path / "damaged.json", code=2)[1]
     run("verify", folder / "spring-pendulum-swing-0002" / "orbit.json")
     said, _ = run("sweep", SPRING, "--parameter", "energy=-11,-20", "--out", tmp_path, "--no-orbits", code=1)
     assert "energy = -20: not reached" in said and "1 of 2 certified" in said

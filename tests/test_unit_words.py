@@ -22,6 +22,7 @@ from orbitfinder.site.gather import gather
 
 NEURON = """
 name = "clock"
+title = "Van der Pol's clock"
 [system]
 kind = "equations"
 rates = { V = "W", W = "mu*(1 - V^2)*W - V" }
@@ -128,6 +129,31 @@ def test_units_of_a_problem_file_are_in_records_commands_and_pages(clock):
     assert "6.663286859317 ms" in page or " ms</" in page
     data = next(text for name, text in pages.items() if name.startswith("data/") and '"axes"' in text)
     assert '"axes":["mV",""]' in data
+
+
+def test_guesses_sweeps_equilibria_and_chosen_axes_have_the_words(clock, monkeypatch, capfd):
+    """And a table of another record of the same name is not written over."""
+    folder = clock[0]
+    assert "own        period 6.7 ms  misses" in run("guess", folder / "clock.toml")
+    swept = ("sweep", folder / "clock.toml", "--parameter", "mu=1,1.05", "--no-orbits", "-o", folder / "sweeps")
+    run(*swept)
+    assert "mu = 1.05 nS, period 6.70061896 ms, asym" in capfd.readouterr().err
+    rest = (folder / "clock.toml").read_text().replace("[2.0, 0.0]", "[0.0, 0.0]").replace("mu = 1.0", "mu = -1.0")
+    (folder / "rest.toml").write_text(rest)
+    told = run("equilibria", folder / "rest.toml", "--parameter", "mu", "--until", 1, "-o", folder)
+    assert " nS +- " in told and ", period 6.28318530718 ms, l1" in told
+    drawn = []
+    monkeypatch.setattr("orbitfinder.show.plot.save_png", lambda figure, path: drawn.append(figure) or path)
+    family = folder / "families" / "clock" / "family.json"
+    run("plot", family, "--up", "amplitude_V", "-o", folder)
+    (axes,) = drawn[0].axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("mu (nS)", "amplitude_V (mV)")
+    assert drawn[0].get_suptitle() == "Van der Pol's clock: amplitude_V over mu"
+    assert 2.0 < axes.lines[0].get_ydata().min() < 2.02
+    for _ in range(2):
+        run("export", family, "--to", "csv", "-o", folder / "tables")
+    orbit = ("export", folder / "clock" / "orbit.json", "--to", "csv", "-o", folder / "tables")
+    assert "clock.csv is a table of other columns, of another record" in run(*orbit, code=2)
 
 
 def test_wrong_words_are_refused(tmp_path):

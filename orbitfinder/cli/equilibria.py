@@ -117,15 +117,20 @@ def followed_rest(
     written += answer("plot", written[0])(curve, folder, None) if figures and curve.curve else []
     sure = sum(point.certified for point in curve.points)
     true = sum(event.check is not None and event.check.passed for event in curve.events)
+    from orbitfinder.mechanics.scales import lasting, measured
+
     text(f"{written[0]}: {len(curve.points)} equilibria, {sure} certified; {curve.ends[-1].reason}")
     for k, event in enumerate(curve.events):
-        line = f"  {k} {event.words} at {parameter} = {event.parameter:.12g} +- {event.error:.1g}"
+        place = measured(event.parameter, parameter, curve.system, 12)
+        line = f"  {k} {event.words} at {parameter} = {place} +- {event.error:.1g}"
         if curve.curve:
-            line += f", {curve.parameters[1]} = {event.values[1]:.12g} +- {event.errors[1]:.1g}"
+            second = curve.parameters[1]
+            place = measured(event.values[1], second, curve.system, 12)
+            line += f", {second} = {place} +- {event.errors[1]:.1g}"
             numbers = [f"{name} = {value:.6g}" for name, value in event.normal_form.items()]
             line += f"; normal form: {', '.join(numbers)}" if numbers else ""
         if event.period > 0:
-            line += f", period {event.period:.12g}, l1 = {event.lyapunov:.6g}"
+            line += f", period {lasting(event.period, curve.system)}, l1 = {event.lyapunov:.6g}"
         text(line)
     if leaving := [k for k, event in enumerate(curve.events) if event.direction.size]:
         next_step("continue", written[0], "--switch", leaving[0])

@@ -20,15 +20,16 @@ from orbitfinder.records.registry import answer
 @click.command()
 @orbit_files
 @option("to", "What to write.", kind=tuple(dict.fromkeys((*FORMATS, *TABLES))), required=True)
-@usual("Folder for the files; default: beside each ORBIT.json.", trust=SYSTEM_TRUST, json=False)
+@usual("Folder for the files; default: beside each record.", trust=SYSTEM_TRUST, json=False)
 def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> None:
     """Write each ORBIT.json for another program, or what has many points as a table.
 
     csv: times and states, as `csv` in [guess] reads them. auto: NAME.f90, c.NAME and NAME.dat for AUTO-07p
     (then: @r NAME). julia: NAME.jl for BifurcationKit.jl. c: the right-hand side in plain C;
     of a controlled orbit its controls in time, in C and Python.
-    Of a controller.json csv are its gains, c itself in C and Python. Families, equilibria, optima, tori
-    and maps are tables, csv, parquet or json: NAME.csv a row a point, NAME-events.csv and NAME-ends.csv what happens.
+    Of a controller.json csv are its gains, c itself in C and Python. Families, equilibria, diagrams, sweeps,
+    optima, tori and maps are tables, csv, parquet or json: NAME.csv a row a point, NAME-events.csv and NAME-ends.csv
+    what happens. Beside a record these stand where it does; what another record has left is not written over.
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b
@@ -48,7 +49,8 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FAMILY.json|FILE#K...")
 @option("together", "Draw families in one picture, families.png.", kind=bool)
 @option("level", "Draw the logarithm of the energy's distance from this one.", kind=FINITE, metavar="J")
-@option("across", "Draw families over this: energy, period, frequency, arclength, a parameter, what is watched.")
+@option("across", "Draw families over this: energy, period, frequency, arclength, a parameter, what is watched, "
+        "or amplitude_C, min_C, max_C of a coordinate C.")  # fmt: skip
 @option("up", "What goes up, likewise.  [default: frequency]")
 @option("xlim", "The window across, LOW,HIGH.", kind=NUMBERS)
 @option("style", "A Matplotlib style sheet, or its name, over the figures' own.", metavar="FILE")
@@ -66,7 +68,7 @@ def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float
       orbitfinder plot orbits/triple-1/orbit.json -o figures
       orbitfinder plot families/triple-mode-2/family.json
       orbitfinder plot families/*/family.json --together -o figures
-      orbitfinder plot families/duffing/family.json --across frequency --up energy --xlim 0.1,0.3
+      orbitfinder plot families/duffing/family.json --across frequency --up amplitude_x --xlim 1.2,1.9
     """
     from orbitfinder.show.plot import save_chosen, save_frequency_energy
     from orbitfinder.show.style import styled
@@ -76,7 +78,8 @@ def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float
     if any(axes.values()):
         folder = files[0].parent if out is None else out
         check_writable(folder)
-        click.echo(str(save_chosen([record for _, record, _ in drawn], folder / "chosen.png", **axes)))
+        families, model = [record for _, record, _ in drawn], drawn[0][2]
+        click.echo(str(save_chosen(families, folder / "chosen.png", model=model, **axes)))
         return
     if together or level is not None:
         families = [record for _, record, _ in drawn]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -64,20 +65,24 @@ def guess(
 def _print(proposals: Proposals) -> None:
     text(f"{proposals.name}: {plural(len(proposals.guesses), 'starting point')}")
     for proposal in proposals.guesses:
-        text(_line(proposal))
+        text(_line(proposal, proposals.system))
         text(f"    {_shape(proposal)}")
     for note in proposals.notes:
         text(f"  none: {note}")
 
 
-def _line(proposal: Proposal) -> str:
-    level = "" if proposal.energy is None else f"  energy {proposal.energy:.9g} J"
+def _line(proposal: Proposal, system: Mapping[str, Any]) -> str:
+    from orbitfinder.mechanics.scales import lasting, measured, units
+
+    level = "" if proposal.energy is None else f"  energy {measured(proposal.energy, 'energy', system)}"
     miss = "" if proposal.miss is None else f"  misses itself by {proposal.miss:.2e}"
     frequency = proposal.details.get("frequency")
+    clock = units(system)["time"]
+    often = "Hz" if clock == "s" else f"1/{clock}" * bool(clock)
     return (
-        f"  {proposal.name:<10} period {proposal.period:.9g} s{level}{miss}"
-        + (f"  {frequency:.6g} Hz" if frequency else "")
-        + (f"  from t = {proposal.details['time']:.4g} s" if "time" in proposal.details else "")
+        f"  {proposal.name:<10} period {lasting(proposal.period, system, 9)}{level}{miss}"
+        + (f"  {frequency:.6g} {often}".rstrip() if frequency else "")
+        + (f"  from t = {lasting(proposal.details['time'], system, 4)}" if "time" in proposal.details else "")
         + (f"  {plural(proposal.details['samples'], 'sample')}" if "samples" in proposal.details else "")
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,15 +72,17 @@ def sweep(
         raise InputError("--parameter: the same name twice; give each once")
     with limited(limit):
         from orbitfinder.exports.tables import table_bytes
+        from orbitfinder.orbits.sweep import CODEC, SweepRecord
         from orbitfinder.problemfile.read import load_problem_file
-        from orbitfinder.records.reading import finite, write_atomically, write_json
+        from orbitfinder.records.reading import finite, write_atomically
 
         def save(swept: Sweep, path: Path) -> list[Path]:
             """The table and, in the folder that goes with it, the orbits; all of the files."""
             home = path.parent if path.stem == "sweep" else path.with_suffix("")
             files = [of.save_orbit(orbit, home / orbit.name / "orbit.json") for orbit in swept.orbits if orbits]
             write_atomically(path.with_suffix(".csv"), table_bytes(swept.tables()["points"], "csv"))
-            return [path.with_suffix(".csv"), write_json(path, finite(swept.records)), *files]
+            record = SweepRecord(problem.name, problem.model.system, tuple(values), tuple(finite(swept.records)))
+            return [path.with_suffix(".csv"), CODEC.save(record, path), *files]
 
         values, out = sharded(values, shard, out)
         problem = load_problem_file(file, trust).wanted
@@ -88,24 +91,34 @@ def sweep(
             left = time_left()
 
             def report(row: Row, done: int, total: int) -> None:
-                place = ", ".join(f"{name} = {value:.6g}" for name, value in row.values.items())
-                shown.say(f"{done} of {total}: {place}, {said(row)}{left(done, total)}")
+                place = placed(row, problem.model.system, 6)
+                shown.say(f"{done} of {total}: {place}, {said(row, problem.model.system)}{left(done, total)}")
 
             made = of.sweep(problem, values, limit=None, progress=report, out=out, folder=trusted(file, trust), **how)
     written = save(made, folder / "sweep.json")
     for row in made.rows:
         if not row.certified:
-            text(", ".join(f"{name} = {value:.9g}" for name, value in row.values.items()) + f": {row.reason}")
+            text(f"{placed(row, problem.model.system, 9)}: {row.reason}")
     text(f"{written[0]}: {made.certified} of {len(made.rows)} certified, {made.seconds:.1f} s")
     document = {"name": problem.name, "rows": made.records, "written": written}
     finish("sweep", document, made.certified == len(made.rows))
 
 
-def said(row: Row) -> str:
+def placed(row: Row, system: Mapping[str, Any], digits: int) -> str:
+    """The values of a row in words."""
+    from orbitfinder.mechanics.scales import measured
+
+    told = {"period": "time"}
+    return ", ".join(f"{k} = {measured(x, told.get(k, k), system, digits)}" for k, x in row.values.items())
+
+
+def said(row: Row, system: Mapping[str, Any]) -> str:
     """What became of a value, in a few words."""
+    from orbitfinder.mechanics.scales import lasting
+
     if row.orbit is None or not row.certified:
         return row.reason
-    return f"period {row.orbit.period:.9g} s, {row.orbit.stability}"
+    return f"period {lasting(row.orbit.period, system, 9)}, {row.orbit.stability}"
 
 
 def parameter(given: str) -> tuple[str, list[float]]:

@@ -66,6 +66,15 @@ def _told(columns: Mapping[str, Any], model: Model) -> Told:
     return {name: (unit, "") for name, unit in words.items() if unit}
 
 
+def refuse_another(target: Path, content: bytes) -> None:
+    """`InputError` where a CSV file would replace a table of other columns, which is another record's."""
+    if target.suffix == ".csv" and target.is_file():
+        with target.open("rb") as stream:
+            if stream.readline().rstrip() != content.partition(b"\n")[0]:
+                raise InputError(f"--out: {target} is a table of other columns, of another record of that name; "
+                                 "give another folder, or delete it")  # fmt: skip
+
+
 def export_table(record: Any, to: str, folder: Path, model: Model) -> list[Path]:
     """What `export --to` writes of a record of many points: NAME.csv (or parquet, json), its other tables that have
     rows NAME-events.csv, NAME-ends.csv; never over a record. Raises `InputError`."""
@@ -78,6 +87,8 @@ def export_table(record: Any, to: str, folder: Path, model: Model) -> list[Path]
         if target.exists() and kind_of(target):
             raise InputError(f"--out: {target} is a record, which a table would replace; give another folder")
         if of == "points" or len(next(iter(columns.values()))):
-            write_atomically(target, table_bytes(columns, to, _told(columns, model), record.system))
+            content = table_bytes(columns, to, _told(columns, model), record.system)
+            refuse_another(target, content)
+            write_atomically(target, content)
             written.append(target)
     return written

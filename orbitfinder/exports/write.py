@@ -12,6 +12,7 @@ from orbitfinder._runtime.rooms import loaded
 from orbitfinder.errors import InputError
 from orbitfinder.exports.formats import FORMATS
 from orbitfinder.exports.source import samples_of, source_of
+from orbitfinder.exports.tables import refuse_another
 from orbitfinder.loops.control import controls_at
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
@@ -67,5 +68,6 @@ def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None 
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
+        refuse_another(target / name, text.encode())
         write_atomically(target / name, text.encode())
     return [target / name for name in files]

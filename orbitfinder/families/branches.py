@@ -356,6 +356,7 @@ class Branch:
     number: int | str
     branch: int
     name: str
+    title: str = ""
 
     def described(self) -> dict[str, Any]:
         """The same in plain numbers."""
@@ -468,7 +469,7 @@ def _joined(family: Family, which: str, settings: FamilySettings | None, model: 
     event = Event(
         end.kind, -1, np.nan, float(end.parameter or np.nan), state, place.period, np.nan if energy is None else energy
     )
-    return Branch(start, family.name, event, which, 1, f"{family.name}-{which}")
+    return Branch(start, family.name, event, which, 1, f"{family.name}-{which}", family.source.get("title", ""))
 
 
 def branches(
@@ -492,7 +493,8 @@ def branches(
         raise ConvergenceError(f"{family.name}: no branch was found at event {event} ({described(family, event)})")
     starts = [replace(start, curve=replace(start.curve, watch=curve.watch)) for start in starts]
     return [
-        Branch(start, family.name, chosen, event, k, f"{family.name}-{event}-{k}") for k, start in enumerate(starts, 1)
+        Branch(start, family.name, chosen, event, k, f"{family.name}-{event}-{k}", family.source.get("title", ""))
+        for k, start in enumerate(starts, 1)
     ]
 
 

@@ -138,7 +138,8 @@ def curve_start(
         raise ConvergenceError(f"event {number} of {family.name} ({chosen.kind}): {error}{lasting}") from error
     if refused := test.followed.refused(start.curve, start.solution):
         raise ConvergenceError(f"event {number} of {family.name}: {refused}; continue the family again")
-    return Branch(start, family.name, chosen, number, 0, f"{family.name}-{number}-{'-'.join(names)}")
+    name, title = f"{family.name}-{number}-{'-'.join(names)}", family.source.get("title", "")
+    return Branch(start, family.name, chosen, number, 0, name, title)
 
 
 def _event(family: Family, event: int, where: str) -> Event:
@@ -147,7 +148,7 @@ def _event(family: Family, event: int, where: str) -> Event:
         raise InputError(f"{where}: is a curve in two parameters itself; give the family that it was started from")
     known = [k for k, e in enumerate(family.events) if e.kind in FOLLOWED and not e.detail.startswith("at ")]
     listed = "; ".join(described(family, k) for k in known)
-    choice = f"choose one of {listed}" if listed else "this family has none of which one does"
+    choice = f"choose one of {listed}" if listed else "this family has none that a curve leads through"
     if not 0 <= event < len(family.events):
         raise InputError(f"event: {where} has no event {event}; {choice}")
     chosen = family.events[event]

@@ -16,7 +16,7 @@ from orbitfinder._runtime import locks, tasks
 from orbitfinder._runtime.cluster import home, scheduler_at
 from orbitfinder._runtime.keeping import kept
 from orbitfinder._runtime.limit import limited
-from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, LimitError, closest, plural
@@ -36,6 +36,7 @@ from orbitfinder.records.codec import Codec
 from orbitfinder.records.family import JOURNAL, End, Event, Family, load_family, reached, save_family
 from orbitfinder.records.reading import write_atomically
 from orbitfinder.records.registry import kinds
+from orbitfinder.records.table import Tabled
 
 Fork = tuple["DiagramCurve", int]
 """A curve and the number of its event"""
@@ -91,7 +92,7 @@ class Branching:
 
 
 @dataclass(frozen=True)
-class BifurcationDiagram(Shown):
+class BifurcationDiagram(Tabled):
     """Equilibria along a parameter, what is born on them, what is born on that.
 
     Args:
@@ -112,6 +113,7 @@ class BifurcationDiagram(Shown):
     """
 
     __repr__ = brief("name", "parameter", "curves", "branchings")
+    _tables = "families.table:diagram_tables"
     name: str
     system: Mapping[str, Any]
     parameter: str

@@ -316,9 +316,12 @@ def _request(
     """
     head: Any
     source, system = {"name": getattr(origin, "name", "")}, dict[str, Any]()
+    if title := getattr(origin, "title", ""):
+        source["title"] = title
     if isinstance(origin, Branch):
         head, kind = origin.described(), "branch"
-        source = head
+        source = source | head
+        del source["name"]
     elif isinstance(origin, Start):
         head, kind = origin.solution.place.head.tolist(), "start"
     elif isinstance(origin, Orbit):

@@ -1,4 +1,4 @@
-"""Families of orbits and of equilibria as tables: points, events, ends."""
+"""Families of orbits and of equilibria, and diagrams of both, as tables: points, events, ends."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder.families.diagram import BifurcationDiagram
 from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.families.members import extents
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import End, Family
-from orbitfinder.records.table import Tables, entries, extent_columns, known_levels, placed, verdict_columns
+from orbitfinder.records.table import Tables, entries, extent_columns, known_levels, placed, stacked, verdict_columns
 
 
 def family_tables(family: Family, model: Model | None = None) -> Tables:
@@ -72,3 +73,20 @@ def equilibria_tables(rest: Equilibria, model: Model | None = None) -> Tables:
         "events": columns(events, "parameter", happened | {"point": [event.index for event in events]}),
         "ends": _ends(rest.parameter, rest.ends),
     }
+
+
+def diagram_tables(diagram: BifurcationDiagram, model: Model | None = None) -> Tables:
+    """The tables of a diagram, those of its curves below each other: equilibria have ranges, too, of no width, and
+    events what `became` of them. Raises `InputError` where its system cannot be built."""
+    model = model or build_model(diagram.system)
+    became = {(fork.file, fork.event): fork.became for fork in diagram.branchings}
+    made = dict[str, Tables]()
+    for curve in diagram.curves:
+        tables = made[curve.file] = curve.record.tables(model)
+        if isinstance(curve.record, Equilibria):
+            names = model.state_names[: model.degrees_of_freedom]
+            at = np.array([tables["points"][name] for name in names]).T
+            tables["points"] |= extent_columns(names, at, at)
+        events = range(len(curve.record.events))
+        tables["events"]["became"] = [became.get((curve.file, k), "") for k in events]
+    return {of: stacked({file: tables[of] for file, tables in made.items()}) for of in ("points", "events", "ends")}

@@ -43,16 +43,15 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import alone, proportions
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.refine import Refiner
-from orbitfinder.records.codec import plain
+from orbitfinder.records.codec import Codec, plain
 from orbitfinder.records.journal import Checkpoints, checkpoints, packed, unpacked
 from orbitfinder.records.orbit import SHARE, Orbit, orbit_from_document, orbit_to_document
 from orbitfinder.records.reading import typed
 from orbitfinder.records.table import Tabled, Tables
 
-LIMIT = 3600.0
-"""Seconds after which a sweep stops unless told otherwise."""
-ELSEWHERE = 0.1
-"""A period or state farther than this from what was expected, relative to the motion, is another orbit's."""
+LIMIT, ELSEWHERE = 3600.0, 0.1
+"""Seconds after which a sweep stops unless told otherwise; a period or state farther than this from what was expected,
+relative to the motion, is another orbit's."""
 NUMBERS = ("period", "energy", "action", "symmetry", "stability", "closure")
 ASKED = ("guess", "pin", "symmetry", "winding", "segments", "tolerance", "free", "relative", "name", "title", "source")
 """Of a problem beside its system: what decides which orbits are found, and what they are called"""
@@ -101,8 +100,7 @@ class Sweep(Tabled):
 
     def own_tables(self) -> Tables:
         """Its table, with nothing where there is no orbit."""
-        rows = [{k: missing(k) if x is None else x for k, x in row.items()} for row in self.records]
-        return {"points": {name: [row[name] for row in rows] for name in rows[0]}}
+        return _tables(self.records)
 
     @property
     def certified(self) -> int:
@@ -113,6 +111,44 @@ class Sweep(Tabled):
     def orbits(self) -> tuple[Orbit, ...]:
         """The certified orbits."""
         return tuple(row.orbit for row in self.rows if row.orbit is not None and not row.reason)
+
+
+@dataclass(frozen=True)
+class SweepRecord(Tabled):
+    """What the file of a sweep holds: `records`, a row a value, null where there is no orbit."""
+
+    __repr__ = brief("name", "parameters", "counts")
+
+    name: str
+    system: Mapping[str, Any]
+    parameters: tuple[str, ...]
+    rows: tuple[dict[str, Any], ...]
+
+    @property
+    def counts(self) -> str:
+        """How many values have a certified orbit."""
+        return f"{sum(row['certified'] for row in self.rows)} of {len(self.rows)} certified"
+
+    def own_tables(self) -> Tables:
+        """As those of a `Sweep`."""
+        return _tables(self.rows)
+
+    def _check(self) -> None:
+        wanted = {*self.parameters, "certified", "reason", *NUMBERS}
+        for k, row in enumerate(self.rows):
+            if row.keys() != self.rows[0].keys() or not row.keys() >= wanted or not isinstance(row["certified"], bool):
+                raise ValueError(f"rows[{k}]: not the columns of a sweep")
+        if not self.rows:
+            raise ValueError("rows: there are none")
+
+
+CODEC = Codec(SweepRecord, "sweep", "`orbitfinder sweep`", "sweep again")
+load_sweep = CODEC.load
+
+
+def _tables(rows: Sequence[Mapping[str, Any]]) -> Tables:
+    told = [{name: missing(name) if value is None else value for name, value in row.items()} for row in rows]
+    return {"points": {name: [row[name] for row in told] for name in told[0]}}
 
 
 def missing(name: str) -> Any:

@@ -50,6 +50,7 @@ class Proposals:
     state_names: Sequence[str]
     guesses: Sequence[Proposal]
     notes: Sequence[str]
+    system: Mapping[str, Any]
 
     def named(self, pick: str | None) -> Proposal:
         """The proposal of that name; the closest return, else the slowest mode, where none is given."""
@@ -79,7 +80,7 @@ def propose(loaded: ProblemFile, duration: float | None = None, count: int = 8, 
             guesses += make()
         except OrbitfinderError as error:
             notes.append(f"{kind}: {error}")
-    return Proposals(loaded.name, loaded.model.state_names, tuple(guesses), tuple(notes))
+    return Proposals(loaded.name, loaded.model.state_names, tuple(guesses), tuple(notes), loaded.model.system)
 
 
 def own(loaded: ProblemFile) -> list[Proposal]:

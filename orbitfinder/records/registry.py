@@ -75,6 +75,7 @@ KINDS = Registry(Kind, {
     "family": Kind(
         "a family", load_family, attrgetter("points"), verify="families.verified:verified", studio="family",
     ),
+    "sweep": Kind("a sweep", "orbits.sweep:load_sweep"),
 })  # fmt: skip
 """Every kind by its format; others may join (`kinds` has them all)"""
 

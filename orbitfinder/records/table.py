@@ -93,6 +93,20 @@ def verdict_columns(points: Sequence[Any], certified: Sequence[bool]) -> dict[st
     }
 
 
+def stacked(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Tables below each other by the file that each is of, a column `curve`; nothing where a part has not a column."""
+    columns = dict[str, list[Any]]({"curve": []})
+    lengths = {file: len(next(iter(part.values()))) for file, part in parts.items()}
+    for name in dict.fromkeys(name for part in parts.values() for name in part):
+        told = [np.asarray(part[name]) for part in parts.values() if name in part]
+        kind = next((each.dtype.kind for each in told if each.size), "f")
+        nothing = {"U": "", "b": None}.get(kind, np.nan)
+        columns[name] = [value for file, part in parts.items()
+                         for value in (part[name] if name in part else [nothing] * lengths[file])]  # fmt: skip
+    columns["curve"] = [file for file, length in lengths.items() for _ in range(length)]
+    return columns
+
+
 def entries(rows: Sequence[Any], *names: str) -> dict[str, list[Any]]:
     """Columns of attributes, nan where nothing is known."""
     told = {name: [getattr(row, name) for row in rows] for name in names}

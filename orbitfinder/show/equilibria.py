@@ -20,7 +20,7 @@ from orbitfinder.records.family import End, Family
 from orbitfinder.show.diagram import Diagram
 from orbitfinder.show.plot import two_parameters
 from orbitfinder.show.rest import stretched
-from orbitfinder.show.style import STRETCHES, dress, legend, new_figure, place_labels, save_all, told_in
+from orbitfinder.show.style import STRETCHES, dress, legend, new_figure, place_labels, save_all, told_in, with_word
 from orbitfinder.show.svg import COLOURS, axis
 
 RESTS, OTHER = {
@@ -139,11 +139,12 @@ def save_diagram_figure(diagram: BifurcationDiagram, folder: str | Path, model: 
         for column in (2,) if norm else (1, 0):
             upper.cycles(curve.record, sizes[:, column], name)
         below[0].cycles(curve.record, np.array([member.period for member in curve.record.members]), name, True)
-    dress(upper.axes, "" if below else diagram.parameter, NORM if norm else axis(model, number))
+    across = with_word(diagram.parameter, diagram.system)
+    dress(upper.axes, "" if below else across, NORM if norm else axis(model, number))
     for panel in below:
         periods = np.concatenate(panel.heights)
         panel.axes.set_yscale("log" if periods.max() > LONG * periods.min() else "linear")
-        dress(panel.axes, diagram.parameter, "period (s)")
+        dress(panel.axes, across, "period (s)")
     upper.window()
     legend(figure, shown, "lower center", ncols=4)
     room = MARGIN / 2 * (diagram.between[1] - diagram.between[0])
@@ -169,6 +170,6 @@ def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Mo
             axes.set_visible(False)
             continue
         Panel(axes, shown).rest(equilibria, lambda state, k=k: float(state[k]))  # type: ignore[misc]
-        dress(axes, equilibria.parameter, axis(model, k))
+        dress(axes, with_word(equilibria.parameter, equilibria.system), axis(model, k))
     legend(figure, shown, "lower center", ncols=4)
     return save_all({"equilibria": figure}, folder)

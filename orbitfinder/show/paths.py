@@ -16,6 +16,7 @@ from orbitfinder.families.members import MemberMotion
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.show.diagram import entitled
 from orbitfinder.show.scene import landmarks
 from orbitfinder.show.style import dress, landmark, legend, new_figure
 from orbitfinder.show.svg import COLOURS
@@ -43,7 +44,7 @@ def path_views(orbit: Orbit, model: Model) -> Figure:
 
 def family_paths(family: Family, shown: Sequence[MemberMotion], model: Model) -> Figure:
     """Orbits along a family from every side, coloured by the family's parameter, and the landmarks near them."""
-    figure, views = _views([motion.states for motion in shown], model, f"{family.name}: orbits along the family")
+    figure, views = _views([motion.states for motion in shown], model, f"{entitled(family)}: orbits along the family")
     values = [motion.point.value for motion in shown]
     scale = ScalarMappable(Normalize(min(values), max(values)), colormaps["viridis"])
     for axes, (i, j) in views:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -27,7 +28,7 @@ from orbitfinder.mechanics.scales import given_units, unit_names, units
 from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Event, Family, number_of, value_of
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.show.diagram import Diagram, frequencies, mark_of
+from orbitfinder.show.diagram import Diagram, entitled, frequencies, mark_of
 from orbitfinder.show.facts import conserves, number
 from orbitfinder.show.paths import family_paths, has_path, path_views
 from orbitfinder.show.scene import Scene, evenly, tip
@@ -49,6 +50,7 @@ from orbitfinder.show.style import (
     told_in,
     trail,
     widen,
+    with_word,
 )
 from orbitfinder.show.svg import COLOURS, axis, label
 
@@ -331,21 +333,28 @@ def save_frequency_energy(families: Sequence[Family | Orbit], path: Path, level:
 
 def save_chosen(
     families: Sequence[Family], path: Path, across: str | None = None, up: str | None = None,
-    xlim: Sequence[float] | None = None,
+    xlim: Sequence[float] | None = None, model: Model | None = None,
 ) -> Path:  # fmt: skip
-    """Write families in other coordinates: energy, period, frequency, arclength, a parameter, a watched number.
+    """Write families in other coordinates: energy, period, frequency, arclength, a parameter, a watched number,
+    amplitude_C, min_C or max_C of a coordinate C.
 
-    `across` is by default the parameter, `up` the frequency, `xlim` the window. Raises `InputError`.
+    `across` is by default the parameter, `up` the frequency, `xlim` the window; `model` is of what no file describes.
+    Raises `InputError`.
     """
     if xlim is not None and (len(xlim) != 2 or not xlim[0] < xlim[1]):
         raise InputError(f"xlim: {list(xlim)}; give LOW,HIGH, the lower first")
     if other := next((record for record in families if not isinstance(record, Family)), None):
         raise InputError(f"{other.name}: --across, --up and --xlim take families; leave them out")
     names = across or families[0].parameter, up or "frequency"
-    figure = new_figure(8.0, 5.6, f"{_called(families)}: {names[1]} over {names[0]}")
-    axes, units = figure.subplots(), {"energy": "J", "period": "s", "frequency": "1/s"}
-    called = [f"{name} ({units[name]})" if name in units else name for name in names]
-    places = [np.column_stack([_quantity(family, name) for name in names]) for family in families]
+    figure = new_figure(8.0, 5.6, f"{entitled(*families)}: {names[1]} over {names[0]}")
+    model = model or build_model(families[0].system)
+    own = dict(zip(model.state_names, unit_names(model), strict=False))
+    known = {"energy": "J", "period": "s", **own, **given_units(model.system)}
+    known |= {} if "frequency" in families[0].parameters else {"frequency": "1/s"}
+    told = [known.get(re.sub("^(amplitude|min|max)_", "", name)) for name in names]
+    called = [f"{name} ({unit})" if unit else name for name, unit in zip(names, told, strict=True)]
+    axes = figure.subplots()
+    places = [np.column_stack([_quantity(family, name, model) for name in names]) for family in families]
     _curves(
         figure, axes, [Diagram(family, (called[0], called[1]), at) for family, at in zip(families, places, strict=True)]
     )
@@ -360,12 +369,17 @@ def save_chosen(
     return save_png(told_in(figure, families[0].system), path)
 
 
-def _quantity(family: Family, name: str) -> np.ndarray:
-    """A number of every point and then of every event. Raises `InputError`."""
-    if name == "frequency":
+def _quantity(family: Family, name: str, model: Model) -> np.ndarray:
+    """A number of every point and then of every event; a parameter's own name comes first. Raises `InputError`."""
+    own = (*family.parameters, *family.points[0].free, *family.points[0].watch)
+    if name == "frequency" and name not in own:
         return frequencies(family)
-    known = dict.fromkeys(["energy", "period", "frequency", "arclength", *family.parameters, *family.points[0].free,
-                           *family.points[0].watch])  # fmt: skip
+    ranges = [f"{word}_{each}" for each in model.state_names[: model.degrees_of_freedom]
+              for word in ("amplitude", "min", "max")]  # fmt: skip
+    if name in ranges and name not in own:
+        tables = family.tables(model)
+        return np.concatenate([tables[of][name] for of in ("points", "events")])
+    known = dict.fromkeys(["energy", "period", "frequency", "arclength", *own, *ranges])
     if name not in known:
         raise InputError(f"{name}: not known along {family.name}; it has {', '.join(known)}")
     read = value_of if name == "arclength" else number_of
@@ -376,7 +390,7 @@ def gallery(family: Family, shown: Sequence[MemberMotion]) -> Figure:
     """Orbits along the family, each over one period: swept links and the path of the tip, or the path in (q1, q2)."""
     columns = min(4, len(shown))
     rows = -(-len(shown) // columns)
-    figure = new_figure(2.6 * columns, 2.9 * rows + 0.4, f"{family.name}: orbits along the family")
+    figure = new_figure(2.6 * columns, 2.9 * rows + 0.4, f"{entitled(family)}: orbits along the family")
     grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for axes, motion in zip(grid, shown, strict=False):
         _draw(axes, motion)
@@ -418,7 +432,7 @@ def frequency_energy(
     from it, which opens what gathers at a saddle or at rest. The numbers of one family are those of `--switch`.
     """
     freed = families[0].parameter if all(families[0].parameter in family.points[0].free for family in families) else ""
-    figure = new_figure(8.0, 5.6, title or f"{_called(families)}: frequency and {freed or 'energy'}")
+    figure = new_figure(8.0, 5.6, title or f"{entitled(*families)}: frequency and {freed or 'energy'}")
     axes = figure.subplots()
 
     def away(energy: float) -> float:
@@ -446,10 +460,6 @@ def frequency_energy(
     return figure
 
 
-def _called(families: Sequence[Family | Equilibria]) -> str:
-    return ", ".join(family.name for family in families)
-
-
 FAR = 4.0
 """Curves this many times as wide as their special points lie apart are drawn about those only"""
 
@@ -466,7 +476,7 @@ def two_parameters(families: Sequence[Family | Equilibria], title: str | None = 
             raise InputError(
                 f"{family.name}: varies {', '.join(family.parameters)}; give curves in {' and '.join(names)} alone"
             )
-    figure = new_figure(8.0, 5.6, title or f"{_called(families)}: bifurcations in two parameters")
+    figure = new_figure(8.0, 5.6, title or f"{entitled(*families)}: bifurcations in two parameters")
     axes, shown, labels = figure.subplots(), dict[str, Any](), list[tuple[str, float, float]]()
     for k, curve in enumerate(families):
         places = curve.places if curve.parameters == names else curve.places[:, ::-1]
@@ -485,7 +495,7 @@ def two_parameters(families: Sequence[Family | Equilibria], title: str | None = 
             shown.setdefault(event.words, axes.plot(*place, **style)[0])
             if not any(words == event.words and np.allclose(place, at, rtol=1e-6) for words, *at in labels):
                 labels.append((event.words, *place))
-    dress(axes, *names)
+    dress(axes, *(with_word(name, families[0].system) for name in names))
     axes.margins(0.08)
     for k, frame in enumerate((axes.set_xlim, axes.set_ylim) if labels else ()):
         ends = [name[1:][k] for name in labels]
@@ -511,7 +521,7 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
     most = int(np.max([size.max(axis=0) for size in sizes], axis=0).argmax())
     which = most if coordinate is None else names.index(coordinate)
     first = families[0]
-    figure = new_figure(8.0, 5.6, f"{_called(families)}: response to {first.parameter}")
+    figure = new_figure(8.0, 5.6, f"{entitled(*families)}: response to {first.parameter}")
     axes, called = figure.subplots(), (axis_name(first), f"amplitude of {axis(model, which)}")
     paired = zip(families, sizes, strict=True)
     drawn = [Diagram(family, called, np.column_stack([family.places, size[:, which]])) for family, size in paired]
@@ -548,7 +558,7 @@ def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram], plain: bool 
 
 def multipliers_plane(family: Family) -> Figure:
     """Every point's multipliers in the complex plane, inside a square a little wider than the unit circle."""
-    figure = new_figure(6.8, 5.8, f"{family.name}: Floquet multipliers")
+    figure = new_figure(6.8, 5.8, f"{entitled(family)}: Floquet multipliers")
     axes = figure.subplots()
     angle = np.linspace(0, 2 * np.pi, 361)
     axes.plot(np.cos(angle), np.sin(angle), color="0.6", linewidth=0.8)
@@ -570,7 +580,7 @@ def multipliers_along(family: Family) -> Figure:
     """|mu| (logarithmic) and the stability indices along the family, each index as one curve."""
     indices = np.stack([point.indices for point in family.points])
     paired = indices.shape[1] > 0
-    figure = new_figure(8.0, 6.4 if paired else 4.4, f"{family.name}: stability along the family")
+    figure = new_figure(8.0, 6.4 if paired else 4.4, f"{entitled(family)}: stability along the family")
     upper, lower = figure.subplots(2, 1, sharex=True) if paired else (figure.subplots(), None)
     values = family.values("value")
     sizes = np.abs(np.concatenate([point.floquet_multipliers for point in family.points]))
@@ -608,8 +618,8 @@ def unpoled(values: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def axis_name(family: Family) -> str:
     """The parameter with its unit, where that is known: of a forcing's frequency it follows from the period."""
-    if unit := given_units(family.system).get(family.parameter, ""):
-        return f"{family.parameter}\N{NO-BREAK SPACE}({unit})"  # which is no unit of SI to put another in place of
+    if family.parameter in given_units(family.system):
+        return with_word(family.parameter, family.system)
     unit = family.unit or forced_unit(
         family.values("value"), family.values("period"), family.curve.get("cycles", np.inf)
     )

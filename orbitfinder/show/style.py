@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.scales import worded
+from orbitfinder.mechanics.scales import given_units, worded
 from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.scene import BRUSHES, Scene, Strokes, extent, outlines, tip
 from orbitfinder.show.svg import COLOURS
@@ -72,6 +72,12 @@ def dress(axes: Any, across: str, up: str) -> None:
     axes.grid(True, color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def with_word(quantity: str, system: Mapping[str, Any]) -> str:
+    """A parameter or state by name, with its unit where that is told."""
+    unit = given_units(system).get(quantity, "")
+    return f"{quantity}\N{NO-BREAK SPACE}({unit})" if unit else quantity  # no unit of SI to put another in place of
 
 
 def told_in(figure: Figure, system: Mapping[str, Any]) -> Figure:

@@ -21,7 +21,7 @@ import numpy as np
 from orbitfinder._runtime import tasks
 from orbitfinder._runtime.cluster import home, scheduler_at
 from orbitfinder._runtime.keeping import finished
-from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest, plural, shortened
 from orbitfinder.integrate.dop853 import SECOND, integrate_in
@@ -40,6 +40,7 @@ from orbitfinder.records.codec import Codec, Dense, plain
 from orbitfinder.records.family import Family
 from orbitfinder.records.journal import Checkpoints, checkpoints, header_of, packed, read_lines, unpacked
 from orbitfinder.records.orbit import system_at
+from orbitfinder.records.table import Tabled, Tables
 from orbitfinder.structures.crossings import SEEN, Crossings, Passing, Plane, along_parameter
 from orbitfinder.structures.sections import Surface, after_events, named_surface, surface
 
@@ -55,7 +56,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Bifurcation(Shown):
+class Bifurcation(Tabled):
     """What motions settle to at k values of a parameter: n samples in all.
 
     Args:
@@ -122,6 +123,13 @@ class Bifurcation(Shown):
     def heights(self) -> np.ndarray:
         """The coordinate that is drawn at every sample (n)."""
         return np.asarray(self.states[:, self.state_names.index(self.coordinate)])
+
+    def own_tables(self) -> Tables:
+        """A row a sample: the parameter, the motion's number there, time, state, after how many returns it repeats."""
+        value, motion = self.owners.T
+        states = dict(zip(self.state_names, self.states.T, strict=True))
+        return {"points": {self.parameter: self.values[value], "motion": motion, "time": self.times, **states,
+                           "repeats": self.repeats[value, motion]}}  # fmt: skip
 
     def samples(self, value: int, motion: int = 0) -> np.ndarray:
         """The coordinate at the samples of a motion at a value, both by number."""

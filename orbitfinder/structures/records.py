@@ -37,5 +37,5 @@ KINDS[PHASE.name] = Kind(
 )  # fmt: skip
 KINDS[BIFURCATION.name] = Kind(
     "a brute-force bifurcation diagram", BIFURCATION.load, verify="structures.bifurcation:verified",
-    plot="show.bifurcation:save_bifurcation_figure",
+    plot="show.bifurcation:save_bifurcation_figure", export="exports.tables:export_table",
 )  # fmt: skip
