@@ -584,8 +584,8 @@ var orbitfinder = (function () {
     label();
   };
 
-  // The slider and clock of a page with one orbit; `period` is asked for anew, since the orbit may change.
-  Player.prototype.scrubber = function (period) {
+  // The slider and clock of a page with one orbit; `period` is asked for anew, since the orbit may change; `unit` of times.
+  Player.prototype.scrubber = function (period, unit) {
     var self = this, slider = document.getElementById("time"), clock = document.getElementById("clock");
     slider.addEventListener("input", function () {
       self.playing = false;
@@ -595,8 +595,8 @@ var orbitfinder = (function () {
     self.followers.push(function (time) {
       var whole = period(), within = whole ? time - whole * Math.floor(time / whole) : 0;
       if (document.activeElement !== slider || self.playing) slider.value = Math.round(1000 * within / whole);
-      clock.textContent = within.toFixed(2) + " s";
-      slider.setAttribute("aria-valuetext", within.toFixed(2) + " seconds");
+      clock.textContent = within.toFixed(2) + (unit ? " " + unit : "");
+      slider.setAttribute("aria-valuetext", clock.textContent);
     });
   };
 

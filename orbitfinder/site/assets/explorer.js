@@ -9,7 +9,7 @@
   var plot = part("plot"), slider = part("item"), scene = player.add(part("stage"), null);
   var beside = player.add(part("kept"), null);
   player.controls();
-  player.scrubber(function () { return picked < 0 ? 0 : items[picked].period; });
+  player.scrubber(function () { return picked < 0 ? 0 : items[picked].period; }, it.units.time);
 
   function unit(text, one) { return one ? text + ", " + one : text; }
   var E = it.units.energy, S = it.units.time;

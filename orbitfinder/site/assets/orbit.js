@@ -63,7 +63,7 @@
       part("beside").addEventListener("change", show);
       show();
     }
-    player.scrubber(function () { return it.period; });
+    player.scrubber(function () { return it.period; }, it.units.time);
 
     var marks = [];
     function span(i) { var all = row(i).filter(function (x) { return x !== null; }); return [Math.min.apply(null, all), Math.max.apply(null, all)]; }
