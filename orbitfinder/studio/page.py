@@ -73,6 +73,7 @@ class Page(Desk):
         files = [f"{self.assets}/site/core.js", f"{self.assets}/studio/stage.js"]
         ui.add_head_html(f'<link rel="stylesheet" href="{self.assets}/studio/studio.css">')
         ui.add_head_html("".join(f'<script src="{file}"></script>' for file in files))
+        ui.add_body_html(f'<p class="opening" aria-hidden="true">{_safe(self.session.title)}</p>')  # until it is built
         ui.colors(primary="#005f99", good="#0a6847", bad="#9a3412")
         self.theme = ui.dark_mode()
         self._head()
@@ -214,7 +215,8 @@ class Page(Desk):
         with ui.card().classes("panel last"):
             _title("4. What was found, and how to find it again")
             self.tree = ui.tree([], label_key="label", on_select=self.safe(self._selected))
-            self.tree.props('id="tree" no-nodes-label="Nothing yet: find an orbit, and it is listed here."')
+            self.tree.props('id="tree"').set_visibility(False)
+            self.none = ui.label("Nothing yet: find an orbit, and it is listed here.").classes("quiet")
             self.commands = ui.code("", language="bash").classes("commands")
             self.commands.copy_button.props('aria-label="Copy the command lines"')
             self.commands.set_visibility(False)
@@ -330,7 +332,7 @@ class Page(Desk):
         self.find.set_enabled(False)  # the close returns of before belong to another motion
         run: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
         self.session.energy, self.returns, self.picked = run.energy, run.returns, None
-        self.readout.set_text(_readout(run, duration, self.session.model))
+        self.readout.set_text(_readout(run, self.session.model))
         self.near.update_figure(self._near())
         self.find.set_enabled(bool(self.returns))
         if stay and self.shown:
@@ -595,7 +597,9 @@ class Page(Desk):
 
     def _list(self) -> None:
         """The tree of what was found and the command lines."""
-        self.tree.props["nodes"] = self.session.tree()
+        nodes = self.tree.props["nodes"] = self.session.tree()
+        self.tree.set_visibility(bool(nodes))
+        self.none.set_visibility(not nodes)
         self.tree.update()
         self.tree.expand()
         self.commands.set_content("\n".join(self.session.commands()))
@@ -655,7 +659,7 @@ def _range(value: float, angle: bool) -> tuple[float, float]:
     return -reach, reach
 
 
-def _readout(run: Simulated, duration: float, model: Model) -> str:
+def _readout(run: Simulated, model: Model) -> str:
     """What a simulation says."""
     level, system = "", model.system
     if run.energy is not None:
@@ -663,4 +667,4 @@ def _readout(run: Simulated, duration: float, model: Model) -> str:
         level = f"E = {known}, {'kept to' if model.conservative else 'changes by'} {kept}, "
     events = "".join(f"{plural(often, name)}, " for name, often in run.events)
     events += f"{run.stopped}; " if run.stopped else ""
-    return f"{level}{events}{plural(len(run.returns), 'close return')} in {lasting(duration, system, 6)}"
+    return f"{level}{events}{plural(len(run.returns), 'close return')} in {lasting(run.film['period'], system, 6)}"
