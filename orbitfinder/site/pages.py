@@ -15,7 +15,7 @@ from orbitfinder.families.entries import SWITCHABLE, kind_of
 from orbitfinder.families.happening import sentence
 from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import SI, given_units, units
+from orbitfinder.mechanics.scales import SI, given_units, unit_along, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import Event, Family, FamilyPoint
@@ -263,7 +263,7 @@ def family_items(family: Family, simulator: Simulator, reach: Sequence[float]) -
 def _said(family: Family, items: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The items with what the picture `says` of each in a sentence: what happens at an event, of what stretch an orbit
     is and where its period tends."""
-    time, unit = units(family.system)["time"], family.unit or given_units(family.system).get(family.parameter, "")
+    time, unit = units(family.system)["time"], unit_along(family.parameter, family.system)
 
     def where(item: Mapping[str, Any], word: str) -> str:
         return f"{word} {family.parameter} = {with_unit(number(item['value'], 6), unit)}"

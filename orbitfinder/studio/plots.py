@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.scales import lasting, units
+from orbitfinder.mechanics.scales import lasting, unit_along, units
 from orbitfinder.orbits.guesses.returns import CloseReturn
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.show.diagram import mark_of
@@ -118,7 +118,7 @@ def family_figure(
           for other in others),
     ]  # fmt: skip
     unit = units(system)
-    across = _axis(parameter, unit.get({"period": "time"}.get(parameter, parameter), ""))
+    across = _axis(parameter, unit_along(parameter, system))
     up = _axis("frequency 1/T", unit["time"] and f"1/{unit['time']}")
     return _figure(data, across, up, dark, key=key, nothing="Follow an orbit, and its family appears here.")
 

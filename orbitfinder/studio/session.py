@@ -23,7 +23,7 @@ from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.kind import build_model, loops_of, system_kind
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import lasting
+from orbitfinder.mechanics.scales import lasting, unit_along
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.guesses.modes import normal_modes
 from orbitfinder.problemfile.read import load_problem_file
@@ -344,7 +344,7 @@ def _label(item: Item) -> str:
 def leaving(family: Family) -> dict[int, str]:
     """The events of a family that branches leave at, in words."""
     return {
-        k: f"{k}: {event.words} at {event.parameter:.6g} {family.unit}"
+        k: f"{k}: {event.words} at {event.parameter:.6g} {unit_along(family.parameter, family.system)}"
         for k, event in enumerate(family.events)
         if event.kind in SWITCHABLE
     }

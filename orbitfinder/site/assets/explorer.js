@@ -142,7 +142,16 @@
     });
   }
 
+  // Shapes say the stability; colours too, or, where it is on neither axis, the energy.
   function atlasTraces(chosen, c) {
+    var told = levels > 1 && it.conserved && chosen.x !== "energy" && chosen.y !== "energy" && chosen.x !== "below";
+    var least = Math.min.apply(null, items.map(function (one) { return one.energy; }));
+    if (told) return ["", "unstable"].map(function (kind) {
+      var which = shown.filter(function (k) { return (items[k].stability === "unstable") === (kind !== ""); });
+      return points(chosen, which, { name: kind || "not unstable", marker: { size: 9, symbol: kind ? "diamond-open" : "circle",
+        color: which.map(function (k) { return items[k].energy; }), cmin: least, cmax: highest, showscale: !kind || !shown.some(function (k) { return items[k].stability !== "unstable"; }),
+        colorscale: [[0, c.series[0]], [1, c.series[1]]], colorbar: { title: { text: NAMES.energy, side: "right" }, thickness: 10, outlinewidth: 0 } } });
+    }).filter(function (trace) { return trace.x.length; });
     var kinds = Array.from(new Set(items.map(function (one) { return one.stability; }))).sort();
     return kinds.map(function (kind, n) {
       var which = shown.filter(function (k) { return items[k].stability === kind; });
@@ -188,7 +197,7 @@
     if (ring.node.hidden) return;
     [full.xaxis, full.yaxis].forEach(function (axis, d) {
       var place = axis.d2l(at[d]), half = (axis.range[1] - axis.range[0]) / 2;
-      if (isFinite(place) && Math.abs(place - axis.range[0] - half) > half * 1.001) change[axis._name + ".range"] = [place - half, place + half];
+      if (!axis.autorange && isFinite(place) && Math.abs(place - axis.range[0] - half) > half * 1.001) change[axis._name + ".range"] = [place - half, place + half];
     });
     ring.node.style.transitionDuration = (orbitfinder.calm ? 0 : lasting) + "ms";
     if (lasting && Object.keys(change).length) Plotly.relayout(plot, change); else ring.move(at[0], at[1]);
