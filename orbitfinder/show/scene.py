@@ -189,7 +189,7 @@ def rounds_of(model: Model, course: Course, most: int) -> int:
 
 
 def unlike(model: Model) -> bool:
-    """Whether a plane has a quantity across and another one up, each on its own scale: one coordinate and its rate, or
+    """Whether a plane has a quantity across and another up, each on its own scale: a coordinate and its rate, or
     states of a first-order system that are no places."""
     n = model.degrees_of_freedom
     places = n if model.rates is None else n // 2 if model.hamiltonian or model.landmarks else 0

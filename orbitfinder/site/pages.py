@@ -278,8 +278,8 @@ def _said(family: Family, items: list[dict[str, Any]]) -> list[dict[str, Any]]:
             min((m for m in marks if m > k), default=len(items) - 1),
         )
         first, last = items[begin], items[end]
-        ends = [f"the {one['event']} {where(one, 'at')}" if one["event"] else where(one, "") for one in (first, last)]
-        period = [with_unit(number(one["period"], 5), time) for one in (first, last)]
+        ends = [f"the {end['event']} {where(end, 'at')}" if end["event"] else where(end, "") for end in (first, last)]
+        period = [with_unit(number(end["period"], 5), time) for end in (first, last)]
         way = "stays" if period[0] == period[1] else "grows" if first["period"] < last["period"] else "falls"
         how = f"{way} at {period[0]}" if way == "stays" else f"{way} from {period[0]} to {period[1]}"
         says = f"From {ends[0].strip()} to {ends[1].strip()}: orbits {item['stability']}, whose period {how}."

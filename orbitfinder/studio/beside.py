@@ -148,7 +148,7 @@ class SearchPanel:
         page, source = self._page, self._page.source
         periods, budget = (_positive(self._low, "from"), _positive(self._high, "to")), _positive(self._budget, "for")
         if not periods[0] < periods[1]:
-            raise InputError(f"periods: from {periods[0]:g} to {periods[1]:g} holds none; give a larger second one")
+            raise InputError(f"periods: from {periods[0]:g} to {periods[1]:g} holds none; give a larger second")
         energy = source.energy if page.session.model.conservative else None
         name, atlas = page.session.search(source.state, periods, energy, page.taken)
         self._running(True)
