@@ -111,7 +111,7 @@ class Page(Desk):
     # ------------------------------------------------------------------ what the page is made of
 
     def _head(self) -> None:
-        with ui.row().classes("w-full items-center no-wrap gap-2"):
+        with ui.row().classes("head w-full items-center no-wrap gap-2"):
             ui.html(f"<h1>{_safe(self.session.title)}</h1>", sanitize=False)
             self.status = ui.label("").classes("quiet grow").props('role="status" aria-live="polite" id="status"')
             self.busy = ui.spinner(size="1.4em")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -53,8 +54,17 @@ def _figure(
         "xaxis": axis | {"title": {"text": across, "standoff": 10}},
         "yaxis": axis | upward | {"title": {"text": up, "standoff": 12}}, "uirevision": up,
     }  # fmt: skip
+    if key and max(map(len, key)) < 20:
+        layout["legend"] |= {"entrywidth": 112, "font": {"size": 12}}
     if empty:
-        words = {"text": nothing, "x": 0.5, "y": 0.5, "xref": "paper", "yref": "paper", "showarrow": False}
+        words = {
+            "text": "<br>".join(wrap(nothing, 36)),
+            "x": 0.5,
+            "y": 0.5,
+            "xref": "paper",
+            "yref": "paper",
+            "showarrow": False,
+        }
         layout |= {"xaxis": {"visible": False}, "yaxis": {"visible": False}, "annotations": [words], "height": 120}
     return {"data": data, "layout": layout, "config": {"displayModeBar": False, "responsive": True}}
 
