@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import shutil
@@ -66,7 +67,7 @@ class Page(Desk):
         self.wanted: dict[str, Any] = {}
         self.inputs: list[Any] = []
         self.grip: Grip | None = None
-        self.shown = False
+        self.shown, self.simulated = False, asyncio.Event()
 
     async def built(self) -> None:
         """The page; what it shows first is simulated once it is there."""
@@ -185,7 +186,6 @@ class Page(Desk):
                 if self.session.opened.guess is not None:
                     button("Find by the file's guess", self.safe(self._find_own), "own", f"outline {ROOMY}")
                 self.badge = button("", self._certificate, "badge", "unelevated")
-            self.find.set_enabled(False)
             self.badge.set_visibility(False)
             self.about = ui.label("").classes("number").props('id="about"')
 
@@ -329,8 +329,11 @@ class Page(Desk):
 
     async def _simulate(self, stay: bool = False, keep: bool = False) -> None:
         duration = plots.finite(self.duration.value or 0.0)
-        self.find.set_enabled(False)  # the close returns of before belong to another motion
-        run: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
+        self.simulated.clear()
+        try:
+            run: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
+        finally:
+            self.simulated.set()
         self.session.energy, self.returns, self.picked = run.energy, run.returns, None
         self.readout.set_text(_readout(run, self.session.model))
         self.near.update_figure(self._near())
@@ -355,7 +358,8 @@ class Page(Desk):
             await self._found_near(at[1])
 
     async def _find_first(self) -> None:
-        """Find the orbit of the most promising close return that has one."""
+        """Find the orbit of the most promising close return that has one, of the motion that is being simulated."""
+        await self.simulated.wait()
         said = "nothing comes back close enough; start it another way, or simulate for longer"
         for number in range(min(4, len(self.returns))):
             try:
