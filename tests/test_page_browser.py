@@ -278,9 +278,9 @@ def click(browser, x, y, hover=False):
 def test_hover_and_click_on_a_point_change_the_orbit(browser, pages, kind):
     go(browser, pages[kind])
     energies = []
-    for index in (0, -1):
+    for index in (10 if kind == "family" else 0, -1):  # the first five of the family are less than two pixels apart
         x, y, energy = ask(browser, "place", index)
-        click(browser, x, y, hover=index == 0)
+        click(browser, x, y, hover=index >= 0)
         wait(browser, f"return orbitfinder.picked().energy === {energy!r}")
         energies.append(energy)
         find(browser, "#play").click()  # paused, then moving again: the picture of this orbit at t = 0 and later
@@ -430,6 +430,35 @@ def test_sliding_keeps_phase_and_scale(browser, pages):
     wait(browser, "return !orbitfinder.player.stale")
     after = browser.execute_script(share)
     assert before[0] == pytest.approx(0.3) and after == pytest.approx(before)
+
+
+def test_a_family_is_gone_along_without_jumps_and_told_of(browser, pages):
+    """Between two orbits the picture passes through what is between, the ring glides, each stop has its sentence."""
+    go(browser, pages["family"])
+    find(browser, "#play").click()
+    browser.execute_script(
+        "const s = orbitfinder.player.scenes[0], paint = s.paint; window.seen = [];"
+        "s.paint = function (t) { const m = this.motion, n = m.at(t), p = m.tip[0]; seen.push([n[p], n[p + m.points]]);"
+        " paint.call(this, t); }; document.getElementById('item').value = 20;"
+        "document.getElementById('item').dispatchEvent(new Event('input'));"
+    )
+    wait(browser, "return seen.length > 4 && !orbitfinder.player.stale")
+    seen = np.array(browser.execute_script("return seen"))
+    steps = np.linalg.norm(np.diff(seen, axis=0), axis=1)
+    whole = np.linalg.norm(seen[-1] - seen[0])
+    assert steps.sum() < 1.5 * whole and steps.max() < 0.6 * whole  # not at once
+    before = browser.execute_script("return orbitfinder.picked().key")
+    assert find(browser, "#says").text == browser.execute_script("return orbitfinder.picked().says")
+    find(browser, "#travel").click()
+    wait(browser, f"return orbitfinder.picked().key !== '{before}'")
+    find(browser, "#travel").click()
+    assert find(browser, "#travel").text == "Go along"
+    ring = (
+        "const r = document.querySelector('#plot .ring').getBoundingClientRect(), p = document.getElementById('plot')"
+    )
+    wait(browser, f"{ring}.getBoundingClientRect(); return r.left > p.left && r.right < p.right && r.top > p.top")
+    told = [row.text for row in browser.find_elements("css selector", "#events .event .meta")]
+    assert any("a multiplier is -1: a family of twice the period is born" in one for one in told)
 
 
 def test_a_plot_zooms_and_shows_the_whole_again(browser, pages):

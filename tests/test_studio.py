@@ -353,7 +353,7 @@ def test_a_search_that_is_killed_keeps_what_it_found_and_goes_on(tasks, session,
 
 @pytest.mark.parametrize(
     "file, pulls",
-    [("hybrid/bouncing-ball", False), ("control/cart-pole-cycle", True), ("linkages/four-bar-rocking", True),
+    [("hybrid/bouncing-ball", True), ("control/cart-pole-cycle", True), ("linkages/four-bar-rocking", True),
      pytest.param("robots/a1-leg", True, marks=pytest.mark.needs("robot")), ("mechanisms/furuta", True)],
 )  # fmt: skip
 def test_every_kind_of_system_opens_runs_and_is_found_by_its_own_file(tasks, tmp_path, file, pulls):
@@ -372,6 +372,34 @@ def test_every_kind_of_system_opens_runs_and_is_found_by_its_own_file(tasks, tmp
         assert film["moving"] == [] and np.isfinite(state).all()
         system = dict(given.model.system)
         assert tasks.later(system, state, 0.0) == state and np.isfinite(tasks.later(system, state, 0.01)).all()
+
+
+def test_a_machine_with_impacts_is_dragged_seen_arc_by_arc_and_its_orbit_is_found(tasks, tmp_path):
+    """A ball is lifted and thrown, not pulled through the table; its motion bounces, and a close return is an orbit."""
+    given = opened(ROOT / "problems" / "hybrid" / "bouncing-ball.toml")
+    system, (height, _, phase) = dict(given.model.system), given.state.tolist()
+    table = 0.012 * np.sin(phase)
+    below, _ = tasks.pulled(system, given.state.tolist(), 0, [0.5, 0.0])
+    assert below[0] >= min(height, table) - 1e-12
+    lifted, film = tasks.pulled(system, given.state.tolist(), 0, [-0.11, 0.0])
+    assert lifted[::2] == pytest.approx([0.11, phase]) and film["moving"] == []
+    lifted = tasks.thrown(system, lifted, 0, [0.0, 0.0])
+    assert lifted == pytest.approx([0.11, 0.0, phase])
+    thrown = tasks.thrown(system, lifted, 0, [0.2, 0.0])  # downwards
+    assert thrown == pytest.approx([0.11, -0.2, phase])
+    run = tasks.simulated(system, lifted, 8.0)
+    ((event, often),) = run.events
+    assert event == "bounce" and 10 < len(run.film["jumps"]) <= often + 1 and run.film["ground"]
+    session = Session(given, tmp_path, tmp_path / "out")
+    near = tasks.simulated(system, [height + 0.002, 0.49, phase], 3.0).returns[0]
+    found = tasks.found(session.problem(near.state, near.period, set())[1], tmp_path)
+    assert found.orbit.certificate.passed and found.orbit.period == pytest.approx(1.0, abs=1e-12)
+    later = tasks.later(system, lifted, 0.3)
+    assert later[0] == pytest.approx(0.11 - 0.3**2 / 2, abs=1e-6)
+    dead = tasks.simulated(system | {"arguments": {"amplitude": 0.0, "restitution": 0.5}}, lifted, 8.0)
+    assert "gap holds no longer" in dead.stopped and dead.film["period"] == pytest.approx(
+        np.sqrt(2 * 0.11) * 3, rel=0.01
+    )
 
 
 def test_a_linkage_without_a_guess_is_put_together(tmp_path):

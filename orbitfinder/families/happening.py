@@ -14,6 +14,7 @@ from orbitfinder.families.equilibrium import Equilibria, RestEvent
 from orbitfinder.families.rest_curves import FORMS
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.kind import BUILT_IN, build_model
+from orbitfinder.mechanics.scales import lasting
 from orbitfinder.records.family import Event, Family
 
 RESTING = {
@@ -44,14 +45,21 @@ def facts(record: Family | Equilibria) -> dict[str, Any]:
     return counts | {entry.name: getattr(record, entry.name) for entry in fields(record)} | {"events": told}
 
 
-def _of_orbits(family: Family, k: int) -> Happening:
+def sentence(family: Family, k: int) -> str:
+    """What happens at an event of a family: what its multipliers do, stability on either side, what is born."""
     event, kind = family.events[k], kind_of(family.events[k].kind)
     sides = [family.points[min(max(j, 0), len(family.points) - 1)].stability for j in (event.index, event.index + 1)]
-    told = [kind.words, f"{sides[0]} before it, {sides[1]} after it" if sides[0] != sides[1] else ""]
+    words = kind.words.replace(" q times", f" {event.order} times")
+    told = [words, f"{sides[0]} before it, {sides[1]} after it" if sides[0] != sides[1] else ""]
     if kind.branches and event.order > 1:
-        told.append(f"born are orbits of period {event.order * event.period:.9g}")
+        told.append(f"born are orbits of period {lasting(event.order * event.period, family.system, 9)}")
     elif kind.branches and event.symmetry != NONE.name:
         told.append(f"what breaks is {event.symmetry.replace('+', ' or ')}, which these orbits have")
+    return "; ".join(filter(None, told))
+
+
+def _of_orbits(family: Family, k: int) -> Happening:
+    event, kind, told = family.events[k], kind_of(family.events[k].kind), [sentence(family, k)]
     ways, known = list[str](), "test" not in family.curve
     if known and event.shooting_nodes.size:
         ways += [f"--switch {k}"] if kind.branches else []

@@ -94,6 +94,11 @@ def measured(value: float, quantity: str, system: Mapping[str, Any], digits: int
     return f"{value:.{digits}g} {told.get(quantity, '')}".rstrip()
 
 
+def unit_along(parameter: str, system: Mapping[str, Any]) -> str:
+    """The unit of what a family is followed in: energy, period or a parameter."""
+    return units(system).get({"period": "time"}.get(parameter, parameter), "")
+
+
 def given_units(system: Mapping[str, Any]) -> dict[str, str]:
     """The words for units of states and parameters by name."""
     return {name: word for name, word in units(system).items() if name not in SI}

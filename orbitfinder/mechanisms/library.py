@@ -344,7 +344,7 @@ def cart_chain(
     potential = ca.sum1(
         made["stiffness"] * stretch**2 / 2 + made["quadratic"] * stretch**3 / 3 + made["cubic"] * stretch**4 / 4
     )
-    places = ca.vertcat(0, q, 0) + ca.SX(range(count + 2))
+    places = ca.vertcat(0, q, 0) + 3 * ca.SX(range(count + 2))  # seen apart also where they swing by a length and more
     return made.model(
         "cart_chain", made["mass"] * ca.sumsqr(made.v) / 2, potential, names=[f"y{i + 1}" for i in range(count)],
         points=ca.horzcat(ca.SX.zeros(count + 2), places).T, fixed={"carts": count},

@@ -14,14 +14,17 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
+from orbitfinder.integrate.automaton import Automaton
 from orbitfinder.integrate.dop853 import ReferenceSettings
 from orbitfinder.mechanics.model import Model, between, energies, positions
 from orbitfinder.orbits.closure import shift
 from orbitfinder.orbits.hybrid import cycle_from, motion_of
+from orbitfinder.orbits.simulate import LEAST_STEPS
 from orbitfinder.records.orbit import Orbit
 
-SEEN = ReferenceSettings(1e-9, 1e-11)
-"""Accuracy of a motion that is simulated to be drawn"""
+SEEN, BROKEN = ReferenceSettings(1e-9, 1e-11), 1e-3
+"""Accuracy of a motion that is simulated to be drawn; how far what must hold in a mode is below 0, over its range,
+where it is seen to be"""
 
 
 @dataclass(frozen=True)
@@ -163,6 +166,23 @@ def course(model: Model, times: np.ndarray, states: np.ndarray, turns: Sequence[
         if one.advance is not None:
             origin = origin + one.advance(here[-1], model.parameter_values).full().ravel()
     return Course(tuple(found), period, origin, turned, _ground(model))
+
+
+def simulated_course(model: Model, state: np.ndarray, duration: float) -> tuple[Course, str]:
+    """The Course of a hybrid Model from a state (d) over a time (s), whatever events it meets, and the name of what
+    does not hold in an arc that it therefore ends before. Raises `IntegrationError`."""
+    broken = ""
+    automaton, origin, pieces = Automaton(model, SEEN, duration / LEAST_STEPS), np.zeros(2), list[Piece]()
+    for arc in automaton.arcs(state, model.hybrid.first.name, duration):
+        broken = next((name for name, least in arc.margins if pieces and least < -BROKEN), "")
+        if broken:
+            duration = float(arc.times[0])
+            break
+        pieces.append(Piece(arc.times, arc.states, model.hybrid.mode(arc.mode).model, origin, arc.ended_by or ""))
+        ends = model.hybrid.transition(arc.ended_by) if arc.ended_by else None
+        if ends is not None and ends.advance is not None:
+            origin = origin + ends.advance(arc.states[-1], model.parameter_values).full().ravel()
+    return Course(tuple(pieces), duration, origin, np.zeros(state.size), _ground(model)), broken
 
 
 def _ground(model: Model) -> Callable[[np.ndarray], np.ndarray] | None:

@@ -595,9 +595,12 @@ def multipliers_along(family: Family) -> Figure:
         lower.plot(*line, ".-", color=COLOURS[k % len(COLOURS)], markersize=3, linewidth=1.0)
     for level in (-2.0, 2.0):
         lower.axhline(level, color="0.5", linewidth=0.7)
-    for event in family.events:
-        if mark_of(event).across:
-            lower.axvline(event.parameter, color="0.75", linewidth=0.6)
+    drawn: dict[str, Any] = {}
+    for event, look in ((event, mark_of(event)) for event in family.events):
+        if look.across:
+            drawn[event.kind.replace("_", " ")] = lower.axvline(event.parameter, color=look.colour, linewidth=0.8)
+    if drawn:
+        lower.legend(list(drawn.values()), list(drawn), loc="lower left", fontsize=8)
     lower.set_yscale("asinh", linear_width=2.0)
     top = min(max(4.0, 1.2 * float(np.abs(indices).max())), 2000.0)  # beyond it the multipliers above tell more
     lower.set_yticks([sign * size for size in (2.0, 10.0, 100.0, 1000.0) if size <= top for sign in (-1, 1)] + [0.0])

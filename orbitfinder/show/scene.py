@@ -14,7 +14,7 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.mechanics.model import Model, positions
-from orbitfinder.mechanics.scales import units
+from orbitfinder.mechanics.scales import given_units, units
 from orbitfinder.orbits.course import Course
 
 Strokes = Sequence[tuple[str, tuple[int, ...]]]
@@ -188,6 +188,20 @@ def rounds_of(model: Model, course: Course, most: int) -> int:
     return int(np.argmax(away < 0.01) if (away < 0.01).any() else away.argmin()) + 1
 
 
+def unlike(model: Model) -> bool:
+    """Whether a plane has a quantity across and another up, each on its own scale: a coordinate and its rate, or
+    states of a first-order system that are no places."""
+    n = model.degrees_of_freedom
+    places = n if model.rates is None else n // 2 if model.hamiltonian or model.landmarks else 0
+    return model.points is None and not spatial(model) and places < 2 <= len(model.state_names)
+
+
+def axis_words(name: str, system: Mapping[str, Any]) -> str:
+    """A state's name with its unit where that is told."""
+    unit = given_units(system).get(name, "")
+    return f"{name}, {unit}" if unit else name
+
+
 BODIES = {0.01215: (("Earth", 0.0166), ("Moon", 0.0045)), 9.537e-4: (("Sun", 0.0009), ("Jupiter", 0.0001))}
 """By the lighter body's share of the mass of two: what they are called, and their radii over their distance"""
 
@@ -209,9 +223,11 @@ def scenery(model: Model) -> dict[str, Any]:
     def at(coordinates: Sequence[float] | np.ndarray) -> np.ndarray:
         return places(model, np.resize([*coordinates, *np.zeros(n)], (1, n)))[0, :, 0]
 
-    own = {"marks": [[name, at(place).tolist(), radius] for name, place, radius in landmarks(model)]}
+    own: dict[str, Any] = {"marks": [[name, at(place).tolist(), radius] for name, place, radius in landmarks(model)]}
+    if unlike(model):
+        own["unlike"] = [axis_words(name, model.system) for name in model.state_names[:2]]
     if not spatial(model):
-        return own if own["marks"] else {}
+        return own if own["marks"] or "unlike" in own else {}
     single = model.points is None or (model.degrees_of_freedom == 3 and not model.angular.any() and not model.strokes)
     axes = [(name, at(step) - at(np.zeros(3))) for name, step in zip(model.state_names, np.eye(3), strict=False)]
     named = axes if single else zip("xyz", np.eye(3), strict=True)

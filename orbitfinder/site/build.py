@@ -52,7 +52,7 @@ from orbitfinder.site.text import (
 from orbitfinder.site.writing import MARK, mark
 from orbitfinder.structures.section import Section
 
-WEIGHT = "@@WEIGHT@@"
+WEIGHT, PASSES = "@@WEIGHT@@", " (the curve comes within 0.3 % of this orbit in energy, period and action)"
 SCRIPTS = {
     "gallery": ("gallery.js",),
     **{kind: ("plotly-basic.min.js", "plots.js", f"{script}.js")
@@ -169,19 +169,19 @@ def build_site(
         tell(f"orbit {len(entries)} of {len(gathered.orbits)} drawn")
     links: list[Card] = []
     motions: dict[str, Any] = {}
-    families, curves = slug_maker(), slug_maker()
+    families, curves, atlases = slug_maker(), slug_maker(), slug_maker()
+    collected = [(atlas, atlases(atlas.name)) for atlas in gathered.atlases]
     named = [(family, families(family.name)) for family in gathered.families]
     resting = [(rest, curves(rest.name)) for rest in gathered.equilibria]
     links += [_add_equilibria(site, rest, own, simulator, (gathered, named)) for rest, own in resting]
     everything: Named = [*named, *((rest, f"../equilibria/{own}") for rest, own in resting)]
     for k, (family, own) in enumerate(named, 1):
         tell(f"family {k} of {len(named)}, {family.name}: {plural(len(family.points), 'point')}")
-        links.append(_add_family(site, family, own, simulator, motions, (everything, entries)))
-    atlases = slug_maker()
-    for k, atlas in enumerate(gathered.atlases, 1):
+        links.append(_add_family(site, family, own, simulator, motions, (everything, entries, collected)))
+    for k, (atlas, own) in enumerate(collected, 1):
         tell(f"atlas {k} of {len(gathered.atlases)}, {atlas.name}: {atlas.counted('orbit')}")
-        link, shown = _add_atlas(site, atlas, simulator, (atlases(atlas.name), slug), motions)
-        links.insert(gathered.atlases.index(atlas), link)
+        link, shown = _add_atlas(site, atlas, simulator, (own, slug), motions, links)
+        links.insert(k - 1, link)
         entries += shown
     sections = slug_maker()
     for k, section in enumerate(gathered.sections, 1):
@@ -212,27 +212,37 @@ def same(system: Mapping[str, Any]) -> str:
     return json.dumps(system, sort_keys=True, default=str)
 
 
+def _passing(document: Mapping[str, Any], links: Sequence[Card]) -> list[tuple[str, str]]:
+    """Address and words of the families whose curves pass an orbit."""
+    known, here = same(document["system"]), _here(document)
+    passed = [(link, _closest(here, link.curve)) for link in links if link.system == known]
+    return [(f"../{link.href}{point}", f"{link.kind} {link.title}{PASSES}") for link, point in passed if point]
+
+
+def _lying(family: Family, curve: Sequence[tuple[str, float, float, float]], atlas: AtlasFile) -> list[int]:
+    """The orbits of an atlas, by their K of FILE#K, that the curve of a family passes."""
+    known = same(family.system)
+    return [place for place, file in atlas.orbits
+            if same(file.document["system"]) == known and _closest(_here(file.document), curve)]  # fmt: skip
+
+
 def _complete(entry: SiteOrbit, simulator: Simulator, links: Sequence[Card]) -> SiteOrbit:
     """The entry with its energies, its neighbour, and the families and atlases that it belongs to."""
     document, motion, near = entry.document, entry.motion, list[tuple[str, str]]()
-    here = _here(entry)
-    for link in (other for other in links if other.system == same(document["system"])):
-        point = _closest(here, link.curve)
-        close = " (the curve comes within 0.3 % of this orbit in energy, period and action)" if point else ""
-        near.append((f"../{link.href}{point}", f"{link.kind} {link.title}{close}"))
-    own = {words for _, words in entry.near}
-    near = [(address, words) for address, words in near if words not in own]
+    near = _passing(document, links)
+    own = {words.removesuffix(PASSES) for _, words in (*near, *entry.near)}
+    near += [(f"../{link.href}", f"{link.kind} {link.title}") for link in links
+             if link.system == same(document["system"]) and f"{link.kind} {link.title}" not in own]  # fmt: skip
     return replace(
-        entry, near=(*near, *entry.near), conserved=simulator.conserves(document["system"]),
+        entry, near=tuple(dict.fromkeys((*near, *entry.near))), conserved=simulator.conserves(document["system"]),
         energies=motion.energies if motion else None,
         neighbour=simulator.neighbour(document, motion) if motion else None,
         landscape=landscape(simulator.known(document["system"]), framed([packed(motion)])) if motion else None,
     )  # fmt: skip
 
 
-def _here(entry: SiteOrbit) -> tuple[float, float, float]:
+def _here(document: Mapping[str, Any]) -> tuple[float, float, float]:
     """Energy, period and action of an orbit."""
-    document = entry.document
     return level(document["energy"]), float(document["period"]), float(document["action"])
 
 
@@ -278,14 +288,20 @@ def _relatives(family: Family, named: Named) -> dict[str, Any]:
 
 def _add_family(
     site: Site, family: Family, slug: str, simulator: Simulator, motions: dict[str, Any],
-    known: tuple[Named, Sequence[SiteOrbit]],
+    known: tuple[Named, Sequence[SiteOrbit], Sequence[tuple[AtlasFile, str]]],
 ) -> Card:  # fmt: skip
     data, path, words = family_data(family, simulator), f"families/{slug}.html", mechanism(family.system)
     values = family_values(family, data["items"]) | {"title": f"Family {family.name}", "moved": data["moved"]}
     curve = tuple((item["key"], item["energy"], item["period"], item["action"]) for item in data["items"]
                   if item["action"] is not None)  # fmt: skip
     own = [entry for entry in known[1] if same(entry.document["system"]) == same(family.system)]
-    values["orbits"] = [(f"../orbits/{entry.slug}.html", entry.title) for entry in own if _closest(_here(entry), curve)]
+    values["orbits"] = [
+        (f"../orbits/{entry.slug}.html", entry.title) for entry in own if _closest(_here(entry.document), curve)
+    ]
+    values["atlases"] = [
+        (atlas.name, [(f"../atlases/{page}.html#orbit={place}", place) for place in _lying(family, curve, atlas)])
+        for atlas, page in known[2] if same(atlas.orbits[0][1].document["system"]) == same(family.system)
+    ]  # fmt: skip
     values |= _relatives(family, known[0]) | {name: data[name] for name in ("conserved", "landscape", "frame")}
     site.add("family", path, values, ("explorer", data), f"A family of periodic orbits of {article(words)}.")
     useful = "value" if values["useful"][0] == "value" or data["moved"] else "energy"
@@ -330,9 +346,11 @@ def _cover(key: str, data: Mapping[str, Any], motions: dict[str, Any]) -> str:
 
 
 def _add_atlas(
-    site: Site, atlas: AtlasFile, simulator: Simulator, slugs: tuple[str, Callable[[str], str]], motions: dict[str, Any]
-) -> tuple[Card, list[SiteOrbit]]:
-    """The page of an atlas; returns its link and the orbits that get a card and a page of their own."""
+    site: Site, atlas: AtlasFile, simulator: Simulator, slugs: tuple[str, Callable[[str], str]],
+    motions: dict[str, Any], links: Sequence[Card],
+) -> tuple[Card, list[SiteOrbit]]:  # fmt: skip
+    """The page of an atlas; returns its link and the orbits that get a card and a page of their own. Its orbits lead to
+    the families among the `links` that pass them."""
     entries: list[SiteOrbit] = []
     path = f"atlases/{slugs[0]}.html"
     titles = [str(file.document.get("title") or "") for _, file in atlas.orbits]
@@ -346,7 +364,7 @@ def _add_atlas(
         known = simulator.conserves(file.document["system"])
         motion = simulator.orbit(file.document)
         key = f"orbit={place}"
-        own = ((f"../{path}#{key}", f"Atlas {atlas.name}"),)
+        own = ((f"../{path}#{key}", f"Atlas {atlas.name}"), *_passing(file.document, links))
         orbit = SiteOrbit(file, motion, slug, atlas.name, label, conserved=known, command=command, key=key, near=own)
         entries.append(orbit)
     shown = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -270,10 +270,8 @@ def _jumping(
     except OrbitfinderError:
         return None
     moments = equal_times(path.period, 240)  # between the events among them the page interpolates
-    ground = path.grounds(moments)
-    if ground is not None and (path.walks or np.ptp(ground, axis=0).max() == 0):
-        ground = ground[:1]
-    return _filmed(model, path, positions_at(model, path, moments), ground=ground, cuts=cuts_of(path, moments))
+    return _filmed(model, path, positions_at(model, path, moments), ground=_standing(path, moments),
+                   cuts=cuts_of(path, moments))  # fmt: skip
 
 
 def _motion(model: Any, times: np.ndarray, states: np.ndarray, returns: bool | None = None) -> Filmed:
@@ -315,11 +313,24 @@ def _without_model(states: np.ndarray) -> Any:
                            conservative=False)  # fmt: skip
 
 
-def recorded(model: Model, states: np.ndarray, duration: float, cuts: tuple[int, ...] = ()) -> Scene:
+def recorded(model: Model, states: np.ndarray, duration: float) -> Scene:
     """What was simulated (k x d states at equal times over a duration, s), as it is: nothing returns."""
     drawn = "plane" if model.points is None else "mechanism"
-    return Scene(places(model, states), strokes=model.strokes, period=max(duration, 1e-9), drawn=drawn, cuts=cuts,
+    return Scene(places(model, states), strokes=model.strokes, period=max(duration, 1e-9), drawn=drawn,
                  loops=False, around=scenery(model))  # fmt: skip
+
+
+def jumping(model: Model, path: Course, count: int) -> Scene:
+    """What was simulated of a hybrid Model, arc by arc, at `count` times: nothing returns."""
+    moments = equal_times(path.period, count)
+    return replace(recorded(model, path.states(moments), path.period), points=positions_at(model, path, moments),
+                   ground=_standing(path, moments), cuts=cuts_of(path, moments))  # fmt: skip
+
+
+def _standing(path: Course, moments: np.ndarray) -> np.ndarray | None:
+    """What a machine stands on at moments, once where it does not move."""
+    ground = path.grounds(moments)
+    return ground[:1] if ground is not None and (path.walks or np.ptp(ground, axis=0).max() == 0) else ground
 
 
 @dataclass(frozen=True)
@@ -467,7 +478,7 @@ def packed(scene: Scene) -> dict[str, Any]:
     ]
     more: dict[str, Any] = {"jumps": _jumps(scene.cuts)} if scene.cuts else {}
     if not scene.loops:
-        more = {"jumps": [len(scene.points) - 1]}
+        more = {"jumps": _jumps((*scene.cuts, len(scene.points)))}
     if scene.ground is not None:
         more["ground"] = [[[float(f"{x:.6g}") for x in row] for row in line] for line in scene.ground.tolist()]
     if film and film.rounds > 1:

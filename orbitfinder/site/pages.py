@@ -12,9 +12,10 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import plural
 from orbitfinder.families.entries import SWITCHABLE, kind_of
+from orbitfinder.families.happening import sentence
 from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import SI, given_units, units
+from orbitfinder.mechanics.scales import SI, given_units, unit_along, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import Event, Family, FamilyPoint
@@ -128,7 +129,7 @@ def _aspect(motion: Filmed | None) -> float:
     """Width over height of the moving picture: that of the motion, within limits."""
     if motion is None:
         return 1.25
-    if motion.points.shape[1] > 2:
+    if motion.points.shape[1] > 2 or "unlike" in motion.around:
         return 1.25
     spans = np.ptp(motion.points, axis=(0, 2))
     down, right = spans + 0.15 * max(float(spans.max()), 1e-12)
@@ -256,7 +257,34 @@ def family_items(family: Family, simulator: Simulator, reach: Sequence[float]) -
             items.append(item | {"key": f"event={k}", "number": k, "command": command})
         else:
             items.append(item | {"key": f"point={at}", "command": f"orbitfinder verify {file}#{at}"})
-    return items
+    return _said(family, items)
+
+
+def _said(family: Family, items: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The items with what the picture `says` of each in a sentence: what happens at an event, of what stretch an orbit
+    is and where its period tends."""
+    time, unit = units(family.system)["time"], unit_along(family.parameter, family.system)
+
+    def where(item: Mapping[str, Any], word: str) -> str:
+        return f"{word} {family.parameter} = {with_unit(number(item['value'], 6), unit)}"
+
+    told, marks = list[dict[str, Any]](), [k for k, item in enumerate(items) if item["event"]]
+    for k, item in enumerate(items):
+        if item["event"]:
+            told.append(item | {"says": f"{where(item, 'At')}: {sentence(family, item['number'])}."})
+            continue
+        begin, end = (
+            max((m for m in marks if m < k), default=0),
+            min((m for m in marks if m > k), default=len(items) - 1),
+        )
+        first, last = items[begin], items[end]
+        ends = [f"the {end['event']} {where(end, 'at')}" if end["event"] else where(end, "") for end in (first, last)]
+        period = [with_unit(number(end["period"], 5), time) for end in (first, last)]
+        way = "stays" if period[0] == period[1] else "grows" if first["period"] < last["period"] else "falls"
+        how = f"{way} at {period[0]}" if way == "stays" else f"{way} from {period[0]} to {period[1]}"
+        says = f"From {ends[0].strip()} to {ends[1].strip()}: orbits {item['stability']}, whose period {how}."
+        told.append(item | {"says": says})
+    return told
 
 
 def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
@@ -374,7 +402,7 @@ def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[st
     return {
         "family": family,
         "items": items,
-        "columns": ["energy", "period"] if family.unit else ["value", "energy", "period"],
+        "columns": ["energy", "period"] if family.unit else ["value", *["energy"] * family.by_energy, "period"],
         "heads": {"value": family.parameter}
         | {
             name: f"{name}, {unit[kind]}" if unit[kind] else name
@@ -413,6 +441,7 @@ def atlas_data(name: str, entries: Sequence[SiteOrbit], linked: set[str], model:
             "largest": entry.largest,
             "motion": packed(entry.motion) if entry.motion else None,
             "page": f"../orbits/{entry.slug}.html" if entry.slug in linked else None,
+            "on": [[address, words.partition(" (")[0]] for address, words in entry.near[1:]],
         })  # fmt: skip
     alike = len({entry.mechanism for entry in entries}) == 1
     frame = framed([item["motion"] for item in items if item["motion"]]) if alike else None

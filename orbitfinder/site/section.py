@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import lasting
+from orbitfinder.mechanics.scales import lasting, units
 from orbitfinder.show.facts import number
 from orbitfinder.show.scene import evenly
 from orbitfinder.site.gather import Gathered
@@ -63,7 +63,7 @@ def section_data(section: Section, gathered: Gathered) -> dict[str, Any]:
         curves = [curve for laid in gathered.laid for curve in _laid(laid, section, surface) if _belongs(laid, section)]
     frame = framed([item["motion"] for item in items if item["motion"]])
     return {"name": section.name, "axes": [coordinate(name) for name in section.axes], "items": items, "curves": curves,
-            "told": section.told, "landscape": landscape(model, frame),
+            "told": section.told, "time": units(section.system)["time"], "landscape": landscape(model, frame),
             "energy": section.energy if np.isfinite(section.energy) else None}  # fmt: skip
 
 
@@ -112,8 +112,7 @@ def _packed(model: Model, path: np.ndarray, span: float) -> dict[str, Any] | Non
     """A motion that does not close, as a page's Motion that jumps back at its end."""
     if not np.isfinite(path).all():
         return None
-    ends = (1, len(path) - 1)  # neither drawn to its start nor from it
-    return packed(recorded(model, path[:-1], span, ends))
+    return packed(recorded(model, path[:-1], span))
 
 
 def _orbits(section: Section, model: Model, gathered: Gathered) -> list[dict[str, Any]]:

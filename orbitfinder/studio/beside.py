@@ -13,6 +13,7 @@ from nicegui import ui
 from orbitfinder.atlas.search import SearchStatistics
 from orbitfinder.atlas.store import AtlasRow
 from orbitfinder.errors import InputError, plural
+from orbitfinder.mechanics.scales import lasting, measured
 from orbitfinder.studio import plots
 from orbitfinder.studio.desk import Desk, button
 from orbitfinder.studio.session import SWINGS, Item
@@ -44,7 +45,7 @@ class SectionPanel:
         page.say("making the section")
         self._cut = await page.searched("cut", page.source.system, page.source.energy, page.source.orbit)
         made = self._cut.section
-        level = "" if made.energy != made.energy else f" at E = {made.energy:.6g} J"
+        level = "" if made.energy != made.energy else f" at E = {measured(made.energy, 'energy', made.system, 6)}"
         regular = f"{int(made.regular.sum())} of {plural(len(made.starts), 'motion')} regular"
         self._about.set_text(f"{made.plane}{level}: {regular}. Click a point to start there.")
         self.recolour()
@@ -105,12 +106,12 @@ class SearchPanel:
         self._load, self._changed = load, listed
         self._page, self._worker, self._listed = page, TaskProcess(), ""
         self._count = 0
-        swing = page.session.opened.duration / SWINGS
+        swing, time = page.session.opened.duration / SWINGS, page.unit("time")
         with ui.expansion("Search in the background").classes("panel later").props('dense id="background"'):
             with ui.row().classes("items-center gap-3"):
                 self._low, self._high, self._budget = (
                     ui.number(label, value=round(value, 3), min=1e-6, max=1e6).props("dense").classes("w-28")
-                    for label, value in (("periods from, s", 0.3 * swing), ("to, s", 3.0 * swing),
+                    for label, value in ((f"periods from{time}", 0.3 * swing), (f"to{time}", 3.0 * swing),
                                          ("search for, s", 60.0))
                 )  # fmt: skip
                 self._go = button("Search", page.safe(self._searched), "search")
@@ -133,7 +134,8 @@ class SearchPanel:
             self._list.clear()
         with self._list:
             for row in item.atlas[max(self._count, len(item.atlas) - 300) :]:
-                label = f"{row.id}: T = {row.period:.6g} s, {row.stability}{_named(row)}"
+                period = lasting(row.period, self._page.session.model.system, 6)
+                label = f"{row.id}: T = {period}, {row.stability}{_named(row)}"
                 shown = self._page.safe(partial(self._load, item.name, row.id))
                 ui.button(label, on_click=shown).props("flat dense no-caps align=left").classes("text-left")
         self._count = len(item.atlas)
@@ -146,7 +148,7 @@ class SearchPanel:
         page, source = self._page, self._page.source
         periods, budget = (_positive(self._low, "from"), _positive(self._high, "to")), _positive(self._budget, "for")
         if not periods[0] < periods[1]:
-            raise InputError(f"periods: from {periods[0]:g} to {periods[1]:g} s holds none; give a larger second one")
+            raise InputError(f"periods: from {periods[0]:g} to {periods[1]:g} holds none; give a larger second")
         energy = source.energy if page.session.model.conservative else None
         name, atlas = page.session.search(source.state, periods, energy, page.taken)
         self._running(True)
@@ -182,5 +184,5 @@ def _named(row: AtlasRow) -> str:
 def _positive(field: Any, name: str) -> float:
     value = plots.finite(field.value or 0.0)
     if value <= 0:
-        raise InputError(f"{name}: must be positive, got {value:g}; give a time in s")
+        raise InputError(f"{name}: must be positive, got {value:g}; give a time")
     return value

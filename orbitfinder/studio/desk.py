@@ -14,6 +14,7 @@ from nicegui import ui
 
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanics.scales import units
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.studio.session import Session
 from orbitfinder.studio.worker import StoppedError, TaskProcess
@@ -57,6 +58,11 @@ class Desk:
         state = session.opened.state
         self.source = Staged(dict(session.model.system), [*map(float, state)], self.level(state))
         self.dark = False
+
+    def unit(self, quantity: str) -> str:
+        """A quantity's unit as the name of a field ends with it."""
+        known = units(self.session.model.system)[quantity]
+        return f", {known}" if known else ""
 
     def level(self, state: Sequence[float] | np.ndarray) -> float | None:
         """The energy (J) of a state of the system on the stage, None where there is none."""

@@ -42,14 +42,18 @@ def view(model: Model, states: np.ndarray) -> dict[str, list[float]]:
     return {"centre": ((low + high) / 2).tolist(), "spans": (ROOM * size).tolist()}
 
 
+def around(shown: dict[str, Any]) -> dict[str, list[float]]:
+    """The part of the plane that a film fills."""
+    size = np.maximum(shown["spans"], 0.3 * max(*shown["spans"], 1e-9))
+    return {"centre": shown["centre"], "spans": (ROOM * size).tolist()}
+
+
 def draggable(model: Model) -> list[float]:
     """The lengths (m) of the links of a chain whose joints can be dragged; [] of anything else."""
-    plain = system_kind(model.system).pendulum and model.constraint is None
+    plain = system_kind(model.system).pendulum and model.constraint is None and model.smooth
     return [*map(float, model.system["length"])] if plain else []
 
 
 def pullable(model: Model, state: np.ndarray) -> list[int]:
     """The points of a mechanism with a picture that can be pulled, as far as its joints allow; [] of a chain."""
-    if draggable(model) or not model.smooth or model.rates is not None:
-        return []
-    return movable(model, state)
+    return [] if draggable(model) or (model.smooth and model.rates is not None) else movable(model, state)

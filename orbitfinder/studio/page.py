@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import shutil
@@ -17,6 +18,8 @@ from nicegui import ui
 from orbitfinder import site
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.mechanics.kind import build_model, with_parameters
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import lasting, measured
 from orbitfinder.orbits.guesses.returns import CloseReturn
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
@@ -64,13 +67,14 @@ class Page(Desk):
         self.wanted: dict[str, Any] = {}
         self.inputs: list[Any] = []
         self.grip: Grip | None = None
-        self.shown = False
+        self.shown, self.simulated = False, asyncio.Event()
 
     async def built(self) -> None:
         """The page; what it shows first is simulated once it is there."""
         files = [f"{self.assets}/site/core.js", f"{self.assets}/studio/stage.js"]
         ui.add_head_html(f'<link rel="stylesheet" href="{self.assets}/studio/studio.css">')
         ui.add_head_html("".join(f'<script src="{file}"></script>' for file in files))
+        ui.add_body_html(f'<p class="opening" aria-hidden="true">{_safe(self.session.title)}</p>')  # until it is built
         ui.colors(primary="#005f99", good="#0a6847", bad="#9a3412")
         self.theme = ui.dark_mode()
         self._head()
@@ -108,7 +112,7 @@ class Page(Desk):
     # ------------------------------------------------------------------ what the page is made of
 
     def _head(self) -> None:
-        with ui.row().classes("w-full items-center no-wrap gap-2"):
+        with ui.row().classes("head w-full items-center no-wrap gap-2"):
             ui.html(f"<h1>{_safe(self.session.title)}</h1>", sanitize=False)
             self.status = ui.label("").classes("quiet grow").props('role="status" aria-live="polite" id="status"')
             self.busy = ui.spinner(size="1.4em")
@@ -131,7 +135,10 @@ class Page(Desk):
             with ui.row().classes("items-center gap-3"):
                 button("Run", self._run, "run")
                 self.duration = ui.number(
-                    "Simulated time, s", value=round(self.session.opened.duration, 2), min=1e-3, max=1e4
+                    f"Simulated time{self.unit('time')}",
+                    value=round(self.session.opened.duration, 2),
+                    min=1e-3,
+                    max=1e4,
                 ).props('dense style="width: 9em"')
                 ui.switch("Play", value=True, on_change=lambda e: ui.run_javascript(f"stage.play({_js(e.value)})"))
                 speeds = {0.25: "quarter speed", 1: "real time", 4: "4 times faster"}
@@ -172,7 +179,7 @@ class Page(Desk):
     def _returns(self) -> None:
         with ui.card().classes("panel"):
             _title("2. Close returns: click one to find its orbit")
-            self.near = ui.plotly(plots.returns_figure((), None, False)).classes("w-full").props('id="returns"')
+            self.near = ui.plotly(self._near()).classes("w-full").props('id="returns"')
             self.near.on("plotly_click", self.safe(self._return_clicked))
             with ui.row().classes("items-center gap-3"):
                 self.find = button("Find the most promising", self.safe(self._find_first), "find")
@@ -207,7 +214,9 @@ class Page(Desk):
     def _kept(self) -> None:
         with ui.card().classes("panel last"):
             _title("4. What was found, and how to find it again")
-            self.tree = ui.tree([], label_key="label", on_select=self.safe(self._selected)).props('id="tree"')
+            self.tree = ui.tree([], label_key="label", on_select=self.safe(self._selected))
+            self.tree.props('id="tree"').set_visibility(False)
+            self.none = ui.label("Nothing yet: find an orbit, and it is listed here.").classes("quiet")
             self.commands = ui.code("", language="bash").classes("commands")
             self.commands.copy_button.props('aria-label="Copy the command lines"')
             self.commands.set_visibility(False)
@@ -295,7 +304,7 @@ class Page(Desk):
 
     def _energy(self) -> str:
         level = self.level(self.state)
-        return "" if level is None else f"E = {level:.6g} J"
+        return "" if level is None else f"E = {measured(level, 'energy', self.session.model.system, 6)}"
 
     async def _set(self, k: int, value: float) -> None:
         self.state[k] = value
@@ -320,10 +329,14 @@ class Page(Desk):
 
     async def _simulate(self, stay: bool = False, keep: bool = False) -> None:
         duration = plots.finite(self.duration.value or 0.0)
-        run: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
+        self.simulated.clear()
+        try:
+            run: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
+        finally:
+            self.simulated.set()
         self.session.energy, self.returns, self.picked = run.energy, run.returns, None
-        self.readout.set_text(_readout(run, duration))
-        self.near.update_figure(plots.returns_figure(self.returns, self.picked, self.dark))
+        self.readout.set_text(_readout(run, self.session.model))
+        self.near.update_figure(self._near())
         self.find.set_enabled(bool(self.returns))
         if stay and self.shown:
             return
@@ -337,12 +350,16 @@ class Page(Desk):
             self.shown = True
             ui.run_javascript(f"stage.show({json.dumps(film)}, {json.dumps(window)}, {_js(keep)})")
 
+    def _near(self) -> dict[str, Any]:
+        return plots.returns_figure(self.returns, self.picked, self.session.model.system, self.dark)
+
     async def _return_clicked(self, event: Any) -> None:
         if (at := plots.clicked(event.args)) is not None and 0 <= at[1] < len(self.returns):
             await self._found_near(at[1])
 
     async def _find_first(self) -> None:
-        """Find the orbit of the most promising close return that has one."""
+        """Find the orbit of the most promising close return that has one, of the motion that is being simulated."""
+        await self.simulated.wait()
         said = "nothing comes back close enough; start it another way, or simulate for longer"
         for number in range(min(4, len(self.returns))):
             try:
@@ -355,7 +372,7 @@ class Page(Desk):
     async def _found_near(self, number: int) -> bool:
         """Whether the orbit that a close return belongs to is certified."""
         near, self.picked = self.returns[number], number
-        self.near.update_figure(plots.returns_figure(self.returns, self.picked, self.dark))
+        self.near.update_figure(self._near())
         return await self._found(self.session.problem(near.state, near.period, self.taken))
 
     async def _find_own(self) -> None:
@@ -466,8 +483,9 @@ class Page(Desk):
         known = [item.family for item in self.session.items.values() if item.family is not None]
         others = [other for other in known if other.name != self.growing and other.parameter == self.parameter]
         events = family.events if family is not None and family.name == self.growing else ()
-        unit = {"energy": "J", "period": "s"}.get(self.parameter, "")
-        return plots.family_figure(self.points, events, here, others, self.parameter, unit, self.dark)
+        return plots.family_figure(
+            self.points, events, here, others, self.parameter, self.session.model.system, self.dark
+        )
 
     def _show_family(self, item: Item) -> None:
         assert item.family is not None
@@ -491,8 +509,9 @@ class Page(Desk):
             return
         point = self.points[number]
         sure = "certified" if point.certified else "closed"
+        period = lasting(point.period, point.system, 8)
         self.where.set_text(
-            f"orbit {number}: {self.parameter} = {point.value:.8g}, T = {point.period:.8g} s, {point.stability}, {sure}"
+            f"orbit {number}: {self.parameter} = {point.value:.8g}, T = {period}, {point.stability}, {sure}"
         )
         self.badge.set_visibility(False)  # what it says is of another orbit
         self.about.set_text("")
@@ -582,7 +601,9 @@ class Page(Desk):
 
     def _list(self) -> None:
         """The tree of what was found and the command lines."""
-        self.tree.props["nodes"] = self.session.tree()
+        nodes = self.tree.props["nodes"] = self.session.tree()
+        self.tree.set_visibility(bool(nodes))
+        self.none.set_visibility(not nodes)
         self.tree.update()
         self.tree.expand()
         self.commands.set_content("\n".join(self.session.commands()))
@@ -613,7 +634,7 @@ class Page(Desk):
     def _recoloured(self, dark: bool) -> None:
         self.dark = dark
         self.theme.set_value(dark)
-        self.near.update_figure(plots.returns_figure(self.returns, self.picked, dark))
+        self.near.update_figure(self._near())
         self.plot.update_figure(self._figure())
         self.section.recolour()
         if self.rest is not None:
@@ -642,7 +663,12 @@ def _range(value: float, angle: bool) -> tuple[float, float]:
     return -reach, reach
 
 
-def _readout(run: Simulated, duration: float) -> str:
+def _readout(run: Simulated, model: Model) -> str:
     """What a simulation says."""
-    level = "" if run.energy is None else f"E = {run.energy:.6g} J, kept to {run.change:.0e} J, "
-    return f"{level}{plural(len(run.returns), 'close return')} in {duration:g} s"
+    level, system = "", model.system
+    if run.energy is not None:
+        known, kept = (measured(x, "energy", system, digits) for x, digits in ((run.energy, 6), (run.change, 1)))
+        level = f"E = {known}, {'kept to' if model.conservative else 'changes by'} {kept}, "
+    events = "".join(f"{plural(often, name)}, " for name, often in run.events)
+    events += f"{run.stopped}; " if run.stopped else ""
+    return f"{level}{events}{plural(len(run.returns), 'close return')} in {lasting(run.film['period'], system, 6)}"

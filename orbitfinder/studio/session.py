@@ -23,6 +23,7 @@ from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.kind import build_model, loops_of, system_kind
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import lasting, unit_along
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.guesses.modes import normal_modes
 from orbitfinder.problemfile.read import load_problem_file
@@ -175,7 +176,10 @@ class Session:
     def problem(self, state: Any, period: float, taken: set[str]) -> tuple[str, Path]:
         """A problem file with a guess, at the energy that it has, and the name of the orbit that it asks for."""
         name = self.unused(taken)
-        return name, self._written(name, self._guess(name, state, period, self.energy, self.energy is not None))
+        return name, self._written(
+            name,
+            self._guess(name, state, period, self.energy, pinned=self.energy is not None and self.model.conservative),
+        )
 
     def _guess(self, name: str, state: Any, period: float, energy: float | None, pinned: bool) -> str:
         """The text of a problem file that begins at a state; its energy (J) is `pinned` or only known."""
@@ -334,13 +338,13 @@ def _label(item: Item) -> str:
     if item.atlas is not None:
         return f"{item.name}: an atlas of {plural(len(item.atlas), 'orbit')}{mark}"
     assert item.orbit is not None
-    return f"{item.name}: T = {item.orbit.period:.6g} s, {item.orbit.stability}{mark}"
+    return f"{item.name}: T = {lasting(item.orbit.period, item.orbit.system, 6)}, {item.orbit.stability}{mark}"
 
 
 def leaving(family: Family) -> dict[int, str]:
     """The events of a family that branches leave at, in words."""
     return {
-        k: f"{k}: {event.words} at {event.parameter:.6g} {family.unit}"
+        k: f"{k}: {event.words} at {event.parameter:.6g} {unit_along(family.parameter, family.system)}"
         for k, event in enumerate(family.events)
         if event.kind in SWITCHABLE
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.choose import solve
 from orbitfinder.atlas.search import SearchStatistics, search
 from orbitfinder.continuation.follow import Pace, reached
-from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.branches import branches
 from orbitfinder.families.equilibria import follow_equilibria
 from orbitfinder.families.equilibrium import Equilibrium
@@ -28,24 +29,26 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms.pose import pulled, thrown
-from orbitfinder.orbits.guesses.returns import CloseReturn, close_returns
+from orbitfinder.orbits.course import simulated_course
+from orbitfinder.orbits.guesses.returns import CloseReturn, close_returns, returns_of_arcs
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.orbits.simulate import SAMPLES_PER_SECOND, simulate
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import Batch, Event, Family, FamilyPoint, read_journal
 from orbitfinder.records.orbit import Orbit, save_orbit, system_at
 from orbitfinder.records.registry import load_orbit
-from orbitfinder.site.motion import Simulator, packed
+from orbitfinder.site.motion import Simulator, jumping, packed
 from orbitfinder.structures.section import Section
 from orbitfinder.structures.sections import crossings, section
-from orbitfinder.studio.films import film, pose, view
+from orbitfinder.studio.films import around, film, pose, view
 
 Say = Callable[[Any], None]
 Film = dict[str, Any]
 
 LEAST_SAMPLES, MOST_SAMPLES = 400, 3000
-SEEDS, CROSSINGS = 24, 60
-"""Motions of a section, and how often each crosses it"""
+BEFORE, SEEDS, CROSSINGS = 0.999, 24, 60
+"""Share of the time until a motion can be continued no longer that is shown; motions of a section, and how often each
+crosses it"""
 PUSHED, ALIKE, STILL, STRETCHES = 0.02, 0.01, 1e-4, 60
 """Shares: how far from an unstable equilibrium a motion begins, what two stretches of one that has settled differ by in
 its extent, and the extent, in the size of the state, of one that rests; the most that a motion is given to settle"""
@@ -65,6 +68,10 @@ class Simulated:
     energy: float | None
     change: float
     returns: tuple[CloseReturn, ...]
+    events: tuple[tuple[str, int], ...] = ()
+    """of a hybrid system: which, and how often"""
+    stopped: str = ""
+    """why it goes on no longer"""
 
 
 @dataclass(frozen=True)
@@ -105,6 +112,29 @@ class Settled:
     sizes: np.ndarray
 
 
+def promise(near: CloseReturn) -> float:
+    """The less, the more promising: distance times period^3."""
+    return near.distance * near.period**3
+
+
+def _simulated_arcs(model: Model, state: np.ndarray, duration: float) -> Simulated:
+    """The motion of a hybrid system, arc by arc, as far as it can be continued, over a duration (s)."""
+    try:
+        path, broken = simulated_course(model, state, duration)
+        stopped = f"after {path.period:.4g} {broken} holds no longer" if broken else ""
+    except IntegrationError as error:
+        if not error.time:
+            raise
+        stopped, path = error.reason, simulated_course(model, state, BEFORE * error.time)[0]
+    level = np.sum(path.energies, axis=0)
+    energy = float(level[0]) if np.isfinite(level[0]) else None
+    change = 0.0 if energy is None else float(np.nanmax(np.abs(level - energy)))
+    count = int(np.clip(path.period * SAMPLES_PER_SECOND, LEAST_SAMPLES, MOST_SAMPLES))
+    shown, events = packed(jumping(model, path, count)), Counter(name for _, name in path.events)
+    near = sorted(returns_of_arcs(model, path)[:12], key=promise)
+    return Simulated(shown, around(shown), energy, change, tuple(near), tuple(events.items()), stopped)
+
+
 class Tasks:
     """The tasks of one process, which keeps what the next one may use again; `say` tells how a task gets on."""
 
@@ -121,13 +151,15 @@ class Tasks:
     def simulated(self, system: Mapping[str, Any], state: list[float], duration: float) -> Simulated:
         """The motion from a state (d) over a duration (s) and where it nearly closes."""
         model = self.model(system)
+        if not model.smooth:
+            return _simulated_arcs(model, np.asarray(state, float), duration)
         count = int(np.clip(duration * SAMPLES_PER_SECOND, LEAST_SAMPLES, MOST_SAMPLES))
         run = simulate(model, np.asarray(state, float), duration, count)
         energy = float(run.energy[0]) if np.isfinite(run.energy[0]) else None
         returns = list[CloseReturn]()
-        if model.smooth and np.ptp(run.states, axis=0).max() > 0:
+        if np.ptp(run.states, axis=0).max() > 0:
             returns = close_returns(run.times, run.states, model.angles, 12)
-            returns.sort(key=lambda near: near.distance * near.period**3)
+            returns.sort(key=promise)
         shown = film(model, run.times, run.states)
         change = run.change if energy is not None else float("nan")
         return Simulated(shown, view(model, run.states), energy, change, tuple(returns))
@@ -160,9 +192,13 @@ class Tasks:
 
     def later(self, system: Mapping[str, Any], state: list[float], duration: float) -> list[float]:
         """The state (d) that a motion has come to after a time (s)."""
+        model = self.model(system)
         if duration <= 0:
             return list(state)
-        run = simulate(self.model(system), np.asarray(state, float), duration, 2)
+        if not model.smooth:  # it is taken hold of where it was in the mode that it begins in
+            path, first = simulated_course(model, np.asarray(state, float), duration)[0], model.hybrid.first.model
+            return [*map(float, next(piece for piece in path.pieces[::-1] if piece.model is first).states[-1])]
+        run = simulate(model, np.asarray(state, float), duration, 2)
         return [*map(float, run.states[-1])]
 
     def pulled(
@@ -279,7 +315,7 @@ class Tasks:
         return self._refiner[1]
 
     def _iterated(self, at: Progress) -> None:
-        self._say(f"{at.stage} {at.iteration}: defect {at.defect:.1e}, period {at.period:.6g} s")
+        self._say(f"{at.stage} {at.iteration}: defect {at.defect:.1e}, period {at.period:.6g}")
 
     def _stepped(self, folder: Path) -> Callable[[Batch], None]:
         """A report of each step of the family in a folder."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from orbitfinder import site
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.scales import units
+from orbitfinder.mechanics.scales import lasting, measured, units
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import finite
@@ -155,7 +155,8 @@ def _texts(family: Family | None, member: Orbit | Event) -> dict[str, Any]:
         return {"rows": rows, "circle": html.circle(member), "label": label}
     assert family is not None
     point = before(family, member)
-    rows = [("event", member.words), ("period", f"{member.period:.12g} s"), ("energy", f"{member.energy:.12g} J"),
+    rows = [("event", member.words), ("period", lasting(member.period, family.system)),
+            ("energy", measured(member.energy, "energy", family.system, 12)),
             *_parameter(family, member.parameter), ("stability before", point.stability)]  # fmt: skip
     return {"rows": rows, "circle": html.circle(point), "label": member.words}
 

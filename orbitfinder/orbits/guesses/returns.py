@@ -15,6 +15,7 @@ from orbitfinder.integrate.idas import simulate_dae
 from orbitfinder.loops.problem import Guess
 from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model, wrapped
+from orbitfinder.orbits.course import Course
 from orbitfinder.orbits.guesses.modes import normal_mode, normal_modes
 
 MOST_SAMPLES = 3000
@@ -146,6 +147,20 @@ def _returned(model: Model, state: np.ndarray, longest: float, often: float) -> 
     lowest = (distance[1:-1] < near) & (distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])
     back = [k for k in np.flatnonzero(lowest) + 1 if k > left]
     return float(times[back[0]]) if left and back else None
+
+
+def returns_of_arcs(model: Model, path: Course) -> list[CloseReturn]:
+    """The close returns of a hybrid motion, best first: from the start of an arc to that after as many events as the
+    cycle has, or any number where it says none; distances relative to the motion's extent, angles modulo 2 pi."""
+    extent = nonzero(np.ptp(np.vstack([piece.states for piece in path.pieces]), axis=0))
+    cycle, first = model.hybrid.cycle, model.hybrid.first.model
+    begun = [(k, float(piece.times[0]), wrapped(piece.states[0], model.angles)) for k, piece in enumerate(path.pieces)
+             if k and piece.model is first and (not cycle or path.pieces[k - 1].event == cycle[-1])]  # fmt: skip
+    returns = [
+        CloseReturn(x, late - t, float((np.abs(wrapped(back - x, model.angles)) / extent).max()), t, Guess(x, late - t))
+        for j, t, x in begun for k, late, back in begun if k > j and (not cycle or k - j == len(cycle))
+    ]  # fmt: skip
+    return sorted(returns, key=lambda near: near.distance)
 
 
 def _units(model: Model, places: np.ndarray) -> np.ndarray:

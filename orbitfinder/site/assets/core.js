@@ -88,6 +88,34 @@ var orbitfinder = (function () {
     return this.line;
   };
 
+  // A motion on the way from one to another of the same points: at the same share of their periods, rods keep their lengths.
+  function between(from, to, share) {
+    var now = Object.create(to);
+    function mixed(a, b) { return a + share * (b - a); }
+    now.line = null;
+    now.depth = (from.depth || 0) + 1;
+    now.now = new Float32Array(to.now.length);
+    now.centre = from.centre.map(function (x, d) { return mixed(x, to.centre[d]); });
+    now.spans = from.spans.map(function (x, d) { return mixed(x, to.spans[d]); });
+    now.at = function (time) {
+      var b = to.at(time), a = from.at(time / to.period * from.period), first = to.dims * to.points, near = {};
+      for (var c = 0; c < b.length; c++) {
+        var turn = c < first ? 0 : 2 * Math.PI * Math.round((a[c] - b[c]) / (2 * Math.PI));
+        now.now[c] = mixed(a[c] - turn, b[c]);
+      }
+      from.rods.forEach(function (rod) { near[rod[0]] = rod; });
+      to.rods.forEach(function (rod) {
+        var p = rod[0], other = near[p];
+        if (!other || other[1] !== rod[1]) return;
+        for (var d = 0; d < 2; d++) now.now[p + d * to.points] = now.now[rod[1] + d * to.points] +
+          mixed(other[2], rod[2]) * (d ? Math.sin : Math.cos)(now.now[first + p]);
+      });
+      now.broken = to.broken || from.broken;
+      return now.now;
+    };
+    return now;
+  }
+
   // One canvas that draws a motion.
   function Scene(canvas, motion) {
     this.canvas = canvas;
@@ -102,7 +130,11 @@ var orbitfinder = (function () {
     this.width = 0;
   }
 
-  Scene.prototype.show = function (motion) {
+  // Another motion, at once or, where `lasting` (ms) is given and both have the same points, by way of what is between.
+  Scene.prototype.show = function (motion, lasting) {
+    var before = this.on && this.on.depth < 3 ? this.on : this.motion, alike = before && motion && before.points === motion.points && before.dims === motion.dims;
+    this.way = lasting && alike && !calm ? { from: before, began: performance.now(), lasting: lasting } : null;
+    this.on = null;
     this.motion = motion;
     this.width = 0;
     if (this.held) this.canvas.tabIndex = motion && motion.dims > 2 ? 0 : -1;
@@ -145,7 +177,7 @@ var orbitfinder = (function () {
   // Where a place (down, right, to the eye) is on the canvas: px across and down, and how near it is to the eye.
   Scene.prototype.spot = function (at) {
     var c = this.centre, s = this.scale, v = this.view, x = at[0] - c[0], y = at[1] - c[1];
-    if (!v) return [this.width / 2 + y * s, this.height / 2 + x * s, 0];
+    if (!v) return [this.width / 2 + y * s, this.height / 2 + x * s * this.tall, 0];
     var z = at[2] - c[2];
     return [this.width / 2 + s * (v[1][1] * y + v[1][2] * z), this.height / 2 + s * (v[0][0] * x + v[0][1] * y + v[0][2] * z),
       v[2][0] * x + v[2][1] * y + v[2][2] * z];
@@ -163,6 +195,11 @@ var orbitfinder = (function () {
     this.centre = frame.centre;
     this.spans = frame.spans;
     this.scale = 0.84 * Math.min(this.height / frame.spans[0], this.width / frame.spans[1]);
+    this.tall = 1;
+    if (m.around && m.around.unlike) { // two quantities, each on its own scale
+      this.scale = 0.84 * this.width / frame.spans[1];
+      this.tall = 0.84 * this.height / frame.spans[0] / this.scale;
+    }
     this.view = null;
     if (m.dims > 2) {
       var ca = Math.cos(this.turned[0]), sa = Math.sin(this.turned[0]), ce = Math.cos(this.turned[1]), se = Math.sin(this.turned[1]);
@@ -172,7 +209,7 @@ var orbitfinder = (function () {
     }
     this.paths = [];
     this.shadow = null;
-    this.lines = this.landscape ? this.equal() : [];
+    if (!this.way || !this.frame) this.lines = this.landscape && !this.way ? this.equal() : [];
     if (!m.tip) return;
     var far = new Path2D(), near = new Path2D(), floor = new Path2D(), cut = true, last, below, scene = this;
     m.traced().forEach(function (piece) {
@@ -276,6 +313,16 @@ var orbitfinder = (function () {
 
   function rests(mark) { return /^L[1-5]$/.test(mark[0]); }
 
+  // What goes across and up, where these are two quantities.
+  Scene.prototype.names = function (c) {
+    var pen = this.pen, names = this.motion.around.unlike;
+    if (this.width < 150) return;
+    pen.fillStyle = c.muted;
+    pen.font = "13px system-ui, sans-serif";
+    pen.fillText(names[1] + " \u2191", 6, 16);
+    pen.fillText(names[0] + " \u2192", this.width - pen.measureText(names[0] + " \u2192").width - 6, this.height - 6);
+  };
+
   // What stands about the motion: bodies as discs, at least to be seen, places of rest as crosses; an arrow towards a
   // body beyond the edge.
   Scene.prototype.marks = function (c) {
@@ -329,17 +376,34 @@ var orbitfinder = (function () {
   // That length as a bar, named.
   Scene.prototype.bar = function (unit) {
     var pen = this.pen, long = this.length(), y = this.height - 10, x = 10;
-    pen.strokeStyle = pen.fillStyle = colours(this.canvas).muted;
+    var c = colours(this.canvas), text = figure(long, 2) + (unit ? " " + unit : "");
+    pen.font = "13px system-ui, sans-serif";
+    pen.globalAlpha = 0.85; // lines of equal potential end before it
+    pen.fillStyle = c.surface;
+    pen.fillRect(0, y - 24, Math.max(long * this.scale, pen.measureText(text).width) + 2 * x, 34);
+    pen.globalAlpha = 1;
+    pen.strokeStyle = pen.fillStyle = c.muted;
     pen.lineWidth = 2;
     pen.beginPath();
     pen.moveTo(x, y);
     pen.lineTo(x + long * this.scale, y);
     pen.stroke();
-    pen.font = "13px system-ui, sans-serif";
-    pen.fillText(figure(long, 2) + (unit ? " " + unit : ""), x, y - 6);
+    pen.fillText(text, x, y - 6);
   };
 
   Scene.prototype.draw = function (time) {
+    var way = this.way, to = this.motion, share = way && (performance.now() - way.began) / way.lasting;
+    if (!way) return this.paint(time);
+    this.way = share < 1 ? way : null;
+    this.motion = share < 1 ? between(way.from, to, share) : to;
+    this.fit();
+    this.paint(time);
+    this.on = share < 1 ? this.motion : null; // from where the next one goes on
+    this.motion = to;
+    this.player.stale = true;
+  };
+
+  Scene.prototype.paint = function (time) {
     if (this.canvas.clientWidth !== this.width) this.fit();
     var pen = this.pen, m = this.motion, c = colours(this.canvas);
     pen.clearRect(0, 0, this.width, this.height);
@@ -368,7 +432,8 @@ var orbitfinder = (function () {
       pen.globalAlpha = 1;
       this.tail(time, line);
     }
-    if (this.frame) this.bar(this.frame.unit);
+    if (m.around && m.around.unlike) this.names(c);
+    else if (this.frame) this.bar(this.frame.unit);
     else if (this.view && this.width >= 240 && m.around.unit !== null) this.bar(m.around.unit);
     if (this.beside) this.ghost(time, line);
     var now = m.at(time), p;
@@ -556,6 +621,7 @@ var orbitfinder = (function () {
   Player.prototype.add = function (canvas, motion) {
     var scene = new Scene(canvas, motion);
     canvas.scene = scene;
+    scene.player = this;
     this.scenes.push(scene);
     if (!canvas.dataset.motion) scene.handle(this); // of the gallery's cards all is a link
     scene.show(motion);
@@ -584,8 +650,8 @@ var orbitfinder = (function () {
     label();
   };
 
-  // The slider and clock of a page with one orbit; `period` is asked for anew, since the orbit may change.
-  Player.prototype.scrubber = function (period) {
+  // The slider and clock of a page with one orbit; `period` is asked for anew, since the orbit may change; `unit` of times.
+  Player.prototype.scrubber = function (period, unit) {
     var self = this, slider = document.getElementById("time"), clock = document.getElementById("clock");
     slider.addEventListener("input", function () {
       self.playing = false;
@@ -595,8 +661,8 @@ var orbitfinder = (function () {
     self.followers.push(function (time) {
       var whole = period(), within = whole ? time - whole * Math.floor(time / whole) : 0;
       if (document.activeElement !== slider || self.playing) slider.value = Math.round(1000 * within / whole);
-      clock.textContent = within.toFixed(2) + " s";
-      slider.setAttribute("aria-valuetext", within.toFixed(2) + " seconds");
+      clock.textContent = within.toFixed(2) + (unit ? " " + unit : "");
+      slider.setAttribute("aria-valuetext", clock.textContent);
     });
   };
 

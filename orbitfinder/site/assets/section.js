@@ -8,7 +8,7 @@
   function safe(text) { return String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;"); }
   var plot = part("plot"), slider = part("item"), scene = player.add(part("stage"), null);
   player.controls();
-  player.scrubber(function () { return picked < 0 || !it.items[picked].motion ? 0 : it.items[picked].motion.period; });
+  player.scrubber(function () { return picked < 0 || !it.items[picked].motion ? 0 : it.items[picked].motion.period; }, it.time);
 
   // All items of a kind as one trace; a regular motion has a colour that its neighbours do not share.
   function points(kind, c) {
