@@ -18,7 +18,7 @@ from orbitfinder.problemfile.read import load_problem_file
 from orbitfinder.proof.balls import arb, precision
 from orbitfinder.proof.bordered import false_claims, read_event, replayed_event
 from orbitfinder.proof.record import entry, replay
-from orbitfinder.proof.theorem import prove, refine, settings_for
+from orbitfinder.proof.theorem import Options, prove, refine, settings_for
 from orbitfinder.records.orbit import read_document
 from orbitfinder.records.reading import write_json
 
@@ -141,6 +141,8 @@ def test_what_is_not_covered_is_refused():
     with pytest.raises(InputError, match="conserves energy through its events"):
         prove(orbit_of("gravity-wedge"))
     orbit = orbit_of("rimless-wheel")
+    with pytest.raises(InputError, match="without any, not 'brake'"):
+        prove(orbit, options=Options(symmetry="brake"))
     with pytest.raises(InputError, match="of systems with events only orbits are proved"):
         refine(orbit, settings_for(20), 20)
     assert np.isfinite(orbit.period)

@@ -146,6 +146,10 @@ def proved_until(
     began, say = time.perf_counter(), progress or (lambda line: None)
     model = model or provable_model(orbit)
     if not model.smooth:
+        if options.symmetry not in (None, "none"):
+            raise InputError(
+                f"symmetry: orbits with events are proved without any, not {options.symmetry!r}; leave it out"
+            )
         return _until_proved(lambda: _prove_gait(orbit, model, options, say, enough), ALONE.name, options, began)
     codes = programs(model)
     with precision(options.bits):
