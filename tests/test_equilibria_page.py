@@ -118,8 +118,7 @@ def test_one_equilibrium_of_a_file_is_shown_verified_and_drawn(file, tmp_path):
     assert "chemistry-3): certified" in run("verify", f"{file}#3")
     assert run("plot", f"{file}#3", "-o", tmp_path).strip().endswith("equilibria.png")
     assert "#99: no such equilibria in the file" in run("verify", f"{file}#99", code=2)
-    for number in ("", "#3"):
-        assert "equilibria, not an orbit; give an orbit.json" in run("prove", f"{file}{number}", code=2)
+    assert "equilibria, not an orbit; give an orbit.json" in run("prove", f"{file}#3", code=2)
     assert "which `animate` does not take" in run("animate", file, code=2)
     assert "--switch 0" in run("show", file)
 

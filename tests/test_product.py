@@ -63,7 +63,8 @@ TAKEN = {
                         "bifurcation"} | RESTING,
     "plot": ORBITS | {"family", "atlas", "optima", "tori", "tori#", "section", "manifold", "connection", "controller",
                       "diagram", "map", "bifurcation"} | RESTING,
-    "animate": ORBITS, "export": ORBITS | {"controller", "family", "optima", "tori", "tori#", "map"} | RESTING,
+    "animate": ORBITS,
+    "export": ORBITS | {"controller", "family", "optima", "tori", "tori#", "map", "diagram", "bifurcation"} | RESTING,
     "studio": ORBITS | {"family", "atlas"},
     "page": {*KINDS} - PROOFS - {"controller", "diagram", "map", "bifurcation", "journal", "text"},
 }  # fmt: skip

@@ -158,7 +158,7 @@ def test_a_false_hamiltonian_is_refused(loop):
         prove(orbit, altered(model, hamiltonian=False))
     with pytest.raises(InputError, match="when its drive repeats cannot be read off"):
         prove(orbit, altered(model, forcing_period=ca.Function("T", [p], [1.0])))
-    with pytest.raises(InputError, match="orbits with events cannot be proved"):
+    with pytest.raises(InputError, match="of systems with events only orbits are proved"):
         programs(of.systems.simplest_walker())
 
 

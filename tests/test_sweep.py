@@ -266,7 +266,7 @@ def test_the_command(tmp_path):
     assert "rows[0]: not the columns" in run("show", tmp_path / "damaged.json", code=2)[1]
     run("verify", folder / "spring-pendulum-swing-0002" / "orbit.json")
     said, _ = run("sweep", SPRING, "--parameter", "energy=-11,-20", "--out", tmp_path, "--no-orbits", code=1)
-    assert "energy = -20: not reached" in said and "1 of 2 certified" in said
+    assert "energy = -20 J: not reached" in said and "1 of 2 certified" in said
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def test_every_problem_file_is_on_one_page():
     shown = [one.name for kind in systems.KINDS for one in systems.chosen(kind)]
     assert sorted(shown) == sorted(ENTRIES)
     stubs = {page.stem for page in (ROOT / "docs" / "gallery").glob("*.md")}
-    assert stubs == {*systems.KINDS, "index", "diagrams"}
+    assert stubs == {*systems.KINDS, "index", "diagrams", "newcomers"}
 
 
 @pytest.mark.parametrize("name", [name for name, one in ENTRIES.items() if one.record is not None])
