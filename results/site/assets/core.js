@@ -12,10 +12,14 @@ var orbitfinder = (function () {
     return out.buffer;
   }
 
-  // Positions of one orbit. Of m points channel c < m is x (down) of point c, then y (right), then the angle of
-  // what turns rigidly about its parent; see site/motion.py.
+  // Positions of one orbit. Of m points channel c < m is x (down) of point c, then y (right), in space then z (to the
+  // eye), then the angle of what turns rigidly about its parent; see site/motion.py.
   function Motion(packed) {
     this.period = packed.period;
+    this.dims = packed.dims;
+    this.span = packed.period * (packed.rounds || 1); // s after which all is where it was
+    this.drift = packed.drift || null; // [down, right] a period, seen from beside it
+    this.around = packed.around || null;
     this.count = packed.count;
     this.points = packed.points;
     this.centre = packed.centre;
@@ -27,18 +31,18 @@ var orbitfinder = (function () {
     this.strokes = packed.strokes || null;
     this.rods = packed.rods || [];
     this.broken = false;
-    this.now = new Float32Array(3 * packed.points);
+    this.now = new Float32Array((packed.dims + 1) * packed.points);
     this.fixed = [];
-    var still = packed.still, many = packed.points, values = new Int16Array(bytes(packed.data)), about = {}, p;
-    this.rods.forEach(function (rod) { about[2 * many + rod[0]] = rod; });
+    var still = packed.still, many = packed.points, first = packed.dims * many, values = new Int16Array(bytes(packed.data)), about = {}, p;
+    this.rods.forEach(function (rod) { about[first + rod[0]] = rod; });
     for (var c in still) this.now[+c] = still[c];
-    for (p = 0; p < many; p++) this.fixed.push(p in still && (p + many) in still);
+    for (p = 0; p < many; p++) this.fixed.push(p in still && (p + many) in still && (p + first - many) in still);
     this.turns = this.moving.map(function (channel) { return about[channel] ? about[channel][4] : 0; });
     this.values = new Float32Array(values.length);
     for (var k = 0; k < values.length; k++) {
       var channel = this.moving[Math.floor(k / this.count)], rod = about[channel];
       this.values[k] = rod ? rod[3] + packed.swing * values[k] / 32767
-        : packed.centre[channel < many ? 0 : 1] + packed.half * values[k] / 32767;
+        : packed.centre[Math.floor(channel / many)] + packed.half * values[k] / 32767;
     }
     // What is traced: the last point that moves; where both ends stand still the middle, a coupler's curve.
     var last = this.fixed.lastIndexOf(false);
@@ -48,7 +52,7 @@ var orbitfinder = (function () {
 
   // All positions at a time in s: Catmull-Rom between samples, periodic; a hybrid motion waits where it jumps.
   Motion.prototype.at = function (time) {
-    var n = this.count, place = (((time / this.period) % 1) + 1) % 1 * n;
+    var n = this.count, place = (((time / this.span) % 1) + 1) % 1 * n;
     var i = Math.floor(place) % n, u = place - Math.floor(place);
     var a = (i + n - 1) % n, c = (i + 1) % n, d = (i + 2) % n;
     this.broken = this.jumps.has(i);
@@ -64,12 +68,53 @@ var orbitfinder = (function () {
         turn * ((c < i ? wc : 0) + (d < i ? wd : 0) - (a > i ? wa : 0));
     }
     for (var k = 0; k < this.rods.length; k++) {
-      var rod = this.rods[k], p = rod[0], from = rod[1], angle = this.now[2 * this.points + p];
+      var rod = this.rods[k], p = rod[0], from = rod[1], angle = this.now[this.dims * this.points + p];
       this.now[p] = this.now[from] + rod[2] * Math.cos(angle);
       this.now[p + this.points] = this.now[from + this.points] + rod[2] * Math.sin(angle);
     }
     return this.now;
   };
+
+  // What is traced over all periods: places, and where it jumps.
+  Motion.prototype.traced = function () {
+    if (this.line || !this.tip) return this.line;
+    var steps = Math.max(240, (this.span > this.period ? 2 : 4) * this.count);
+    this.line = [];
+    for (var k = 0; k <= steps; k++) {
+      var now = this.at(k * this.span / steps), at = [];
+      for (var d = 0; d < this.dims; d++) at.push((now[this.tip[0] + d * this.points] + now[this.tip[1] + d * this.points]) / 2);
+      this.line.push([at, this.broken]);
+    }
+    return this.line;
+  };
+
+  // A motion on the way from one to another of the same points: at the same share of their periods, rods keep their lengths.
+  function between(from, to, share) {
+    var now = Object.create(to);
+    function mixed(a, b) { return a + share * (b - a); }
+    now.line = null;
+    now.depth = (from.depth || 0) + 1;
+    now.now = new Float32Array(to.now.length);
+    now.centre = from.centre.map(function (x, d) { return mixed(x, to.centre[d]); });
+    now.spans = from.spans.map(function (x, d) { return mixed(x, to.spans[d]); });
+    now.at = function (time) {
+      var b = to.at(time), a = from.at(time / to.period * from.period), first = to.dims * to.points, near = {};
+      for (var c = 0; c < b.length; c++) {
+        var turn = c < first ? 0 : 2 * Math.PI * Math.round((a[c] - b[c]) / (2 * Math.PI));
+        now.now[c] = mixed(a[c] - turn, b[c]);
+      }
+      from.rods.forEach(function (rod) { near[rod[0]] = rod; });
+      to.rods.forEach(function (rod) {
+        var p = rod[0], other = near[p];
+        if (!other || other[1] !== rod[1]) return;
+        for (var d = 0; d < 2; d++) now.now[p + d * to.points] = now.now[rod[1] + d * to.points] +
+          mixed(other[2], rod[2]) * (d ? Math.sin : Math.cos)(now.now[first + p]);
+      });
+      now.broken = to.broken || from.broken;
+      return now.now;
+    };
+    return now;
+  }
 
   // One canvas that draws a motion.
   function Scene(canvas, motion) {
@@ -80,10 +125,63 @@ var orbitfinder = (function () {
     this.landscape = null; // potential energies on a grid; see site/landscape.py
     this.level = null; // the energy of the motion, beyond which it cannot go
     this.trace = true;
+    this.turned = [Math.PI / 4, 0.6155]; // about the vertical and upwards, rad: as flat pictures show space
+    this.zoom = 1;
     this.width = 0;
   }
 
-  Scene.prototype.show = function (motion) { this.motion = motion; this.width = 0; };
+  // Another motion, at once or, where `lasting` (ms) is given and both have the same points, by way of what is between.
+  Scene.prototype.show = function (motion, lasting) {
+    var before = this.on && this.on.depth < 3 ? this.on : this.motion, alike = before && motion && before.points === motion.points && before.dims === motion.dims;
+    this.way = lasting && alike && !calm ? { from: before, began: performance.now(), lasting: lasting } : null;
+    this.on = null;
+    this.motion = motion;
+    this.width = 0;
+    if (this.held) this.canvas.tabIndex = motion && motion.dims > 2 ? 0 : -1;
+  };
+
+  // What moves in space is turned by dragging and by arrow keys; + and - zoom, Home goes back.
+  Scene.prototype.handle = function (player) {
+    var scene = this, canvas = this.canvas, from = null;
+    this.held = true;
+    canvas.style.touchAction = "pan-y";
+    function space() { return scene.motion && scene.motion.dims > 2; }
+    function turn(across, up) {
+      scene.turned = [scene.turned[0] + across, Math.max(-1.57, Math.min(1.57, scene.turned[1] + up))];
+      scene.width = 0;
+      player.stale = true;
+    }
+    canvas.addEventListener("pointerdown", function (event) {
+      if (!space()) return;
+      from = [event.clientX, event.clientY];
+      canvas.setPointerCapture(event.pointerId);
+    });
+    canvas.addEventListener("pointermove", function (event) {
+      canvas.style.cursor = space() ? (from ? "grabbing" : "grab") : "";
+      if (!from) return;
+      turn((event.clientX - from[0]) / 120, (event.clientY - from[1]) / 120);
+      from = [event.clientX, event.clientY];
+    });
+    ["pointerup", "pointercancel"].forEach(function (name) { canvas.addEventListener(name, function () { from = null; }); });
+    canvas.addEventListener("keydown", function (event) {
+      var turns = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] }, step = turns[event.key];
+      var zoom = { "+": 1.15, "=": 1.15, "-": 1 / 1.15 }[event.key];
+      if (!space() || !(step || zoom || event.key === "Home")) return;
+      event.preventDefault();
+      if (zoom) scene.zoom *= zoom;
+      if (event.key === "Home") { scene.zoom = 1; scene.turned = [Math.PI / 4, 0.6155]; }
+      turn.apply(null, step || [0, 0]);
+    });
+  };
+
+  // Where a place (down, right, to the eye) is on the canvas: px across and down, and how near it is to the eye.
+  Scene.prototype.spot = function (at) {
+    var c = this.centre, s = this.scale, v = this.view, x = at[0] - c[0], y = at[1] - c[1];
+    if (!v) return [this.width / 2 + y * s, this.height / 2 + x * s * this.tall, 0];
+    var z = at[2] - c[2];
+    return [this.width / 2 + s * (v[1][1] * y + v[1][2] * z), this.height / 2 + s * (v[0][0] * x + v[0][1] * y + v[0][2] * z),
+      v[2][0] * x + v[2][1] * y + v[2][2] * z];
+  };
 
   Scene.prototype.fit = function () {
     var ratio = Math.min(window.devicePixelRatio || 1, 2), m = this.motion;
@@ -95,17 +193,38 @@ var orbitfinder = (function () {
     if (!m) return;
     var frame = this.frame || m;
     this.centre = frame.centre;
+    this.spans = frame.spans;
     this.scale = 0.84 * Math.min(this.height / frame.spans[0], this.width / frame.spans[1]);
-    this.path = null;
-    this.lines = this.landscape ? this.equal() : [];
-    if (!m.tip) return;
-    this.path = new Path2D();
-    var steps = Math.max(240, 4 * m.count), cut = true;
-    for (var k = 0; k <= steps; k++) {
-      var at = this.traced(m.at(k * m.period / steps));
-      if (cut) this.path.moveTo(at[0], at[1]); else this.path.lineTo(at[0], at[1]);
-      cut = m.broken; // the next point is after the jump
+    this.tall = 1;
+    if (m.around && m.around.unlike) { // two quantities, each on its own scale
+      this.scale = 0.84 * this.width / frame.spans[1];
+      this.tall = 0.84 * this.height / frame.spans[0] / this.scale;
     }
+    this.view = null;
+    if (m.dims > 2) {
+      var ca = Math.cos(this.turned[0]), sa = Math.sin(this.turned[0]), ce = Math.cos(this.turned[1]), se = Math.sin(this.turned[1]);
+      this.view = [[ce, se * sa, se * ca], [0, ca, -sa], [-se, ce * sa, ce * ca]]; // down, right, to the eye
+      var flat = Math.hypot(frame.spans[1], frame.spans[2]); // what it needs however it is turned about the vertical
+      this.scale = 0.97 * this.zoom * Math.min(this.height / (ce * frame.spans[0] + Math.abs(se) * flat), this.width / flat);
+    }
+    this.paths = [];
+    this.shadow = null;
+    if (!this.way || !this.frame) this.lines = this.landscape && !this.way ? this.equal() : [];
+    if (!m.tip) return;
+    var far = new Path2D(), near = new Path2D(), floor = new Path2D(), cut = true, last, below, scene = this;
+    m.traced().forEach(function (piece) {
+      var at = scene.spot(piece[0]), path = at[2] < 0 ? far : near;
+      if (!cut) { path.moveTo(last[0], last[1]); path.lineTo(at[0], at[1]); }
+      if (scene.view) {
+        var foot = scene.spot([scene.centre[0] + frame.spans[0] / 2, piece[0][1], piece[0][2]]);
+        if (!cut) { floor.moveTo(below[0], below[1]); floor.lineTo(foot[0], foot[1]); }
+        below = foot;
+      }
+      last = at;
+      cut = piece[1]; // the next point is after the jump
+    });
+    this.paths = this.view ? [far, near] : [near];
+    this.shadow = this.view && floor;
   };
 
   // Lines of equal potential energy: through the triangles of the grid, that of the motion's own energy last.
@@ -133,33 +252,158 @@ var orbitfinder = (function () {
   };
 
   Scene.prototype.release = function () { this.width = 0; this.canvas.width = this.canvas.height = 0; };
-  Scene.prototype.across = function (now, p) {
-    return this.width / 2 + (now[p + this.motion.points] - this.centre[1]) * this.scale;
+  Scene.prototype.point = function (now, p) {
+    var many = this.motion.points;
+    return this.spot([now[p], now[p + many], this.view ? now[p + 2 * many] : 0]);
   };
-  Scene.prototype.down = function (now, p) {
-    return this.height / 2 + (now[p] - this.centre[0]) * this.scale;
-  };
+  Scene.prototype.across = function (now, p) { return this.point(now, p)[0]; };
+  Scene.prototype.down = function (now, p) { return this.point(now, p)[1]; };
   Scene.prototype.traced = function (now) {
-    var tip = this.motion.tip;
-    return [(this.across(now, tip[0]) + this.across(now, tip[1])) / 2, (this.down(now, tip[0]) + this.down(now, tip[1])) / 2];
+    var near = this.point(now, this.motion.tip[0]), other = this.point(now, this.motion.tip[1]);
+    return [(near[0] + other[0]) / 2, (near[1] + other[1]) / 2];
+  };
+
+  // In space: the box about the motion, the shadow of its path on the floor, and which way the axes go.
+  Scene.prototype.box = function (c) {
+    var pen = this.pen, scene = this, half = this.spans.map(function (span) { return span / 2; });
+    function corner(k) { return scene.spot(half.map(function (h, d) { return scene.centre[d] + (k >> d & 1 ? h : -h); })); }
+    var corners = [0, 1, 2, 3, 4, 5, 6, 7].map(corner), nearest = 0;
+    corners.forEach(function (at, k) { if (at[2] > corners[nearest][2]) nearest = k; });
+    pen.strokeStyle = pen.fillStyle = c.muted;
+    pen.lineWidth = 1;
+    pen.globalAlpha = 0.35;
+    pen.beginPath();
+    for (var k = 0; k < 8; k++) for (var d = 0; d < 3; d++) {
+      var other = k | 1 << d;
+      if (other === k || k === nearest || other === nearest) continue; // the near edges would lie before the motion
+      pen.moveTo(corners[k][0], corners[k][1]);
+      pen.lineTo(corners[other][0], corners[other][1]);
+    }
+    pen.stroke();
+    pen.globalAlpha = 0.5;
+    if (this.trace && this.shadow) pen.stroke(this.shadow);
+    pen.globalAlpha = 1;
+    if (this.width < 240) return;
+    var zero = this.spot(this.centre), w = this.width, h = this.height, origin = [[w - 42, h - 42], [w - 42, 42], [42, 42]].find(function (at) {
+      return !scene.motion.around.marks.some(function (mark) {
+        var place = scene.within(scene.spot(mark[1]));
+        return Math.hypot(place[0] - at[0], place[1] - at[1]) < 80 && !(place[2] && rests(mark));
+      });
+    }) || [w - 42, h - 42];
+    pen.font = "italic 14px Georgia, serif";
+    pen.textAlign = "center";
+    this.motion.around.axes.forEach(function (axis) {
+      var tip = scene.spot(axis[1].map(function (x, d) { return scene.centre[d] + x / scene.scale; }));
+      var way = [tip[0] - zero[0], tip[1] - zero[1]];
+      pen.beginPath();
+      pen.moveTo(origin[0], origin[1]);
+      pen.lineTo(origin[0] + 24 * way[0], origin[1] + 24 * way[1]);
+      pen.stroke();
+      if (Math.hypot(way[0], way[1]) > 0.2) pen.fillText(axis[0], origin[0] + 33 * way[0], origin[1] + 33 * way[1] + 4);
+    });
+    pen.textAlign = "start";
+  };
+
+  // A place, or where the way to it leaves the picture.
+  Scene.prototype.within = function (at) {
+    var x = this.width / 2, y = this.height / 2, dx = at[0] - x, dy = at[1] - y;
+    var share = Math.min(1, (x - 12) / Math.abs(dx || 1e-9), (y - 12) / Math.abs(dy || 1e-9));
+    return [x + share * dx, y + share * dy, share < 1];
+  };
+
+  function rests(mark) { return /^L[1-5]$/.test(mark[0]); }
+
+  // What goes across and up, where these are two quantities.
+  Scene.prototype.names = function (c) {
+    var pen = this.pen, names = this.motion.around.unlike;
+    if (this.width < 150) return;
+    pen.fillStyle = c.muted;
+    pen.font = "13px system-ui, sans-serif";
+    pen.fillText(names[1] + " \u2191", 6, 16);
+    pen.fillText(names[0] + " \u2192", this.width - pen.measureText(names[0] + " \u2192").width - 6, this.height - 6);
+  };
+
+  // What stands about the motion: bodies as discs, at least to be seen, places of rest as crosses; an arrow towards a
+  // body beyond the edge.
+  Scene.prototype.marks = function (c) {
+    var pen = this.pen, scene = this, w = this.width, h = this.height, taken = [];
+    if (w < 150) return;
+    pen.font = "13px system-ui, sans-serif";
+    this.motion.around.marks.forEach(function (mark) {
+      var at = scene.within(scene.spot(mark[1])), x = at[0], y = at[1], inside = !at[2], body = !rests(mark);
+      if (!inside && !body) return;
+      if (taken.some(function (other) { return Math.hypot(other[0] - x, other[1] - y) < 12; })) return;
+      taken.push([x, y]);
+      pen.strokeStyle = c.muted;
+      pen.fillStyle = body ? c.ground : c.muted;
+      pen.lineWidth = 1.5;
+      pen.beginPath();
+      if (!inside) {
+        var far = Math.hypot(x - w / 2, y - h / 2), ux = (x - w / 2) / far, uy = (y - h / 2) / far;
+        pen.moveTo(x, y);
+        pen.lineTo(x - 11 * ux + 5 * uy, y - 11 * uy - 5 * ux);
+        pen.lineTo(x - 11 * ux - 5 * uy, y - 11 * uy + 5 * ux);
+        pen.fill();
+        x -= 14 * ux;
+        y -= 14 * uy;
+      } else if (body) { pen.arc(x, y, Math.max(4, mark[2] * scene.scale), 0, 7); pen.fill(); }
+      else { pen.moveTo(x - 4, y - 4); pen.lineTo(x + 4, y + 4); pen.moveTo(x - 4, y + 4); pen.lineTo(x + 4, y - 4); pen.stroke(); }
+      var wide = pen.measureText(mark[0]).width;
+      pen.fillStyle = c.ink;
+      pen.fillText(mark[0], Math.max(2, Math.min(x + 8 + wide < w ? x + 8 : x - 8 - wide, w - wide - 2)), Math.max(14, Math.min(y - 6, h - 4)));
+    });
+  };
+
+  // What drifts is seen from beside it: a ruler passes below.
+  Scene.prototype.ruler = function (time, c) {
+    var pen = this.pen, m = this.motion, step = this.length() * this.scale, y = this.height - 4;
+    var gone = (time / m.period * m.drift[1] * this.scale) % step;
+    pen.strokeStyle = c.muted;
+    pen.lineWidth = 1.5;
+    pen.beginPath();
+    pen.moveTo(0, y);
+    pen.lineTo(this.width, y);
+    for (var x = -gone - step; x < this.width; x += step) { pen.moveTo(x, y); pen.lineTo(x, y - 8); }
+    pen.stroke();
   };
 
   // The length of 1, 2 or 5 times a power of ten that is about a sixth of the picture.
-  Scene.prototype.bar = function () {
-    var pen = this.pen, wanted = this.width / 6 / this.scale, ten = Math.pow(10, Math.floor(Math.log10(wanted)));
-    var long = [5, 2, 1].map(function (k) { return k * ten; }).find(function (x) { return x <= wanted; });
-    var y = this.height - 10, x = 10;
-    pen.strokeStyle = pen.fillStyle = colours(this.canvas).muted;
+  Scene.prototype.length = function () {
+    var wanted = this.width / 6 / this.scale, ten = Math.pow(10, Math.floor(Math.log10(wanted)));
+    return [5, 2, 1].map(function (k) { return k * ten; }).find(function (x) { return x <= wanted; });
+  };
+
+  // That length as a bar, named.
+  Scene.prototype.bar = function (unit) {
+    var pen = this.pen, long = this.length(), y = this.height - 10, x = 10;
+    var c = colours(this.canvas), text = figure(long, 2) + (unit ? " " + unit : "");
+    pen.font = "13px system-ui, sans-serif";
+    pen.globalAlpha = 0.85; // lines of equal potential end before it
+    pen.fillStyle = c.surface;
+    pen.fillRect(0, y - 24, Math.max(long * this.scale, pen.measureText(text).width) + 2 * x, 34);
+    pen.globalAlpha = 1;
+    pen.strokeStyle = pen.fillStyle = c.muted;
     pen.lineWidth = 2;
     pen.beginPath();
     pen.moveTo(x, y);
     pen.lineTo(x + long * this.scale, y);
     pen.stroke();
-    pen.font = "13px system-ui, sans-serif";
-    pen.fillText(figure(long, 2) + (this.frame.unit ? " " + this.frame.unit : ""), x, y - 6);
+    pen.fillText(text, x, y - 6);
   };
 
   Scene.prototype.draw = function (time) {
+    var way = this.way, to = this.motion, share = way && (performance.now() - way.began) / way.lasting;
+    if (!way) return this.paint(time);
+    this.way = share < 1 ? way : null;
+    this.motion = share < 1 ? between(way.from, to, share) : to;
+    this.fit();
+    this.paint(time);
+    this.on = share < 1 ? this.motion : null; // from where the next one goes on
+    this.motion = to;
+    this.player.stale = true;
+  };
+
+  Scene.prototype.paint = function (time) {
     if (this.canvas.clientWidth !== this.width) this.fit();
     var pen = this.pen, m = this.motion, c = colours(this.canvas);
     pen.clearRect(0, 0, this.width, this.height);
@@ -174,16 +418,23 @@ var orbitfinder = (function () {
       pen.stroke(path);
       pen.globalAlpha = 1;
     }, this);
+    if (this.view) this.box(c);
+    if (m.around) this.marks(c);
     if (m.ground) this.floor(time, line);
-    if (this.trace && this.path) {
+    if (m.drift) this.ruler(time, c);
+    if (this.trace && this.paths.length) {
       pen.strokeStyle = c.trace;
       pen.lineWidth = Math.max(1, line * 0.35);
-      pen.globalAlpha = 0.35;
-      pen.stroke(this.path);
+      this.paths.forEach(function (path, k, all) {
+        pen.globalAlpha = all.length < 2 ? 0.35 : k ? 0.6 : 0.25; // near to the eye it is stronger
+        pen.stroke(path);
+      });
       pen.globalAlpha = 1;
       this.tail(time, line);
     }
-    if (this.frame) this.bar();
+    if (m.around && m.around.unlike) this.names(c);
+    else if (this.frame) this.bar(this.frame.unit);
+    else if (this.view && this.width >= 240 && m.around.unit !== null) this.bar(m.around.unit);
     if (this.beside) this.ghost(time, line);
     var now = m.at(time), p;
     if (m.strokes) { this.mechanism(now, line); return; }
@@ -238,14 +489,20 @@ var orbitfinder = (function () {
   Scene.prototype.mechanism = function (now, line) {
     var pen = this.pen, scene = this, c = colours(this.canvas), r = line * 0.9;
     this.motion.strokes.forEach(function (stroke) {
-      var kind = stroke[0], at = stroke[1].map(function (p) { return [scene.across(now, p), scene.down(now, p)]; });
+      var kind = stroke[0], at = stroke[1].map(function (p) { return scene.point(now, p); });
       var x = at[0][0], y = at[0][1], far = at[at.length - 1], dx = far[0] - x, dy = far[1] - y;
       pen.lineWidth = kind === "rod" ? line : line * 0.5;
       pen.strokeStyle = kind === "spring" ? c.muted : kind === "ground" ? c.ground : c.link;
       pen.fillStyle = kind === "ground" ? c.ground : c.joint;
       pen.beginPath();
       if (kind === "slider") { pen.fillRect(x - 2.4 * r, y - 1.5 * r, 4.8 * r, 3 * r); return; }
-      if (kind === "disc") pen.arc(x, y, Math.hypot(dx, dy), 0, 2 * Math.PI);
+      if (kind === "disc" && at.length > 2) { // as it is seen in space, with the way to the rim
+        pen.moveTo(x, y);
+        for (var turn = 0; turn <= 40; turn++) {
+          var u = Math.cos(turn * Math.PI / 20), v = Math.sin(turn * Math.PI / 20);
+          pen.lineTo(x + u * (at[1][0] - x) + v * dx, y + u * (at[1][1] - y) + v * dy);
+        }
+      } else if (kind === "disc") pen.arc(x, y, Math.hypot(dx, dy), 0, 2 * Math.PI);
       else if (kind === "ground") { pen.moveTo(x, y); pen.lineTo(x - 2 * r, y + 3 * r); pen.lineTo(x + 2 * r, y + 3 * r); pen.fill(); }
       else if (kind === "spring") {
         var long = Math.hypot(dx, dy) || 1, coils = 16;
@@ -255,11 +512,11 @@ var orbitfinder = (function () {
           pen.lineTo(x + share * dx - side * dy, y + share * dy + side * dx);
         }
         pen.lineTo(far[0], far[1]);
-      } else at.forEach(function (one) { pen.lineTo(one[0], one[1]); });
+      } else at.forEach(function (p) { pen.lineTo(p[0], p[1]); });
       pen.stroke();
-      if (kind === "rod") at.forEach(function (one) {
+      if (kind === "rod") at.forEach(function (p) {
         pen.beginPath();
-        pen.arc(one[0], one[1], at.length === 1 ? 1.6 * line : 0.7 * r, 0, 2 * Math.PI); // a mass in one point, or a pin
+        pen.arc(p[0], p[1], at.length === 1 ? 1.6 * line : 0.7 * r, 0, 2 * Math.PI); // a mass in a point, or a pin
         pen.fill();
       });
     });
@@ -268,13 +525,13 @@ var orbitfinder = (function () {
   // What the machine stands on or hits, [down, right] in m.
   Scene.prototype.floor = function (time, line) {
     var pen = this.pen, m = this.motion, all = m.ground, place = ((time / m.period) % 1 + 1) % 1;
-    var one = all[Math.floor(place * all.length) % all.length];
+    var piece = all[Math.floor(place * all.length) % all.length];
     pen.strokeStyle = colours(this.canvas).muted;
     pen.lineWidth = line * 0.5;
     pen.beginPath();
-    for (var k = 0; k < one[0].length; k++) {
-      pen.lineTo(this.width / 2 + (one[1][k] - this.centre[1]) * this.scale,
-        this.height / 2 + (one[0][k] - this.centre[0]) * this.scale);
+    for (var k = 0; k < piece[0].length; k++) {
+      pen.lineTo(this.width / 2 + (piece[1][k] - this.centre[1]) * this.scale,
+        this.height / 2 + (piece[0][k] - this.centre[0]) * this.scale);
     }
     pen.stroke();
   };
@@ -364,7 +621,10 @@ var orbitfinder = (function () {
   Player.prototype.add = function (canvas, motion) {
     var scene = new Scene(canvas, motion);
     canvas.scene = scene;
+    scene.player = this;
     this.scenes.push(scene);
+    if (!canvas.dataset.motion) scene.handle(this); // of the gallery's cards all is a link
+    scene.show(motion);
     this.watcher.observe(canvas);
     return scene;
   };
@@ -390,8 +650,8 @@ var orbitfinder = (function () {
     label();
   };
 
-  // The slider and clock of a page with one orbit; `period` is asked for anew, since the orbit may change.
-  Player.prototype.scrubber = function (period) {
+  // The slider and clock of a page with one orbit; `period` is asked for anew, since the orbit may change; `unit` of times.
+  Player.prototype.scrubber = function (period, unit) {
     var self = this, slider = document.getElementById("time"), clock = document.getElementById("clock");
     slider.addEventListener("input", function () {
       self.playing = false;
@@ -401,8 +661,8 @@ var orbitfinder = (function () {
     self.followers.push(function (time) {
       var whole = period(), within = whole ? time - whole * Math.floor(time / whole) : 0;
       if (document.activeElement !== slider || self.playing) slider.value = Math.round(1000 * within / whole);
-      clock.textContent = within.toFixed(2) + " s";
-      slider.setAttribute("aria-valuetext", within.toFixed(2) + " seconds");
+      clock.textContent = within.toFixed(2) + (unit ? " " + unit : "");
+      slider.setAttribute("aria-valuetext", clock.textContent);
     });
   };
 

@@ -6,10 +6,10 @@
   orbitfinder.player = player;
   orbitfinder.picked = function () { return items[picked]; };
   function part(id) { return document.getElementById(id); }
-  var plot = part("plot"), slider = part("item"), scene = player.add(part("stage"), null);
+  var phone = matchMedia("(max-width: 860px)"), plot = part("plot"), slider = part("item"), scene = player.add(part("stage"), null);
   var beside = player.add(part("kept"), null);
   player.controls();
-  player.scrubber(function () { return picked < 0 ? 0 : items[picked].period; });
+  player.scrubber(function () { return picked < 0 ? 0 : items[picked].period; }, it.units.time);
 
   function unit(text, one) { return one ? text + ", " + one : text; }
   var E = it.units.energy, S = it.units.time;
@@ -63,17 +63,27 @@
     return log ? { type: "log", range: [Math.log10(one) - 0.05, Math.log10(one) + 0.05] } : { range: [one - room, one + room] };
   }
 
-  // The curve in runs of one stability each, joined to the next: solid where stable, dashed where not.
-  function curve(chosen, colour) {
-    var x = column(chosen.x), y = column(chosen.y), stable = it.columns.stable, traces = [], named = {};
-    for (var k = 0, from = 0; k <= x.length; k++) {
-      if (k < x.length && stable[k] === stable[from]) continue;
-      var start = Math.max(0, from - 1), kind = stable[from] ? "stable" : "unstable";
-      traces.push({ x: x.slice(start, k), y: y.slice(start, k), mode: "lines", hoverinfo: "skip", name: kind, legendgroup: kind,
-        showlegend: !named[kind], line: { color: colour, width: stable[from] ? 2.6 : 1.6, dash: stable[from] ? "solid" : "dash" } });
-      named[kind] = true;
-      from = k;
-    }
+  // The curve in runs of one stability each, that meet at the event where it changes: solid where stable, dashed where
+  // not, dotted where nothing decides.
+  var STYLES = { "true": ["stable", 2.6, "solid"], "false": ["unstable", 1.6, "dash"], "null": ["undecided", 2, "dot"] };
+  function curve(chosen, c) {
+    var x = column(chosen.x), y = column(chosen.y), stable = it.columns.stable, traces = [], named = {}, from = 0, meet = null;
+    function middle(all, k) { return all[k] === null || all[k - 1] === null ? null : (all[k] + all[k - 1]) / 2; }
+    it.changes.concat([[x.length, null]]).forEach(function (change) {
+      var end = change[0], style = STYLES[stable[from]], place = [x.slice(from, end), y.slice(from, end)], before = meet;
+      meet = end === x.length ? null : [chosen.x, chosen.y].map(function (name, axis) {
+        var at = change[1] && number(change[1], name);
+        return at === null || at === undefined || !isFinite(at) ? middle(axis ? y : x, end) : at;
+      });
+      place.forEach(function (all, axis) {
+        if (before) all.unshift(before[axis]);
+        if (meet) all.push(meet[axis]);
+      });
+      traces.push({ x: place[0], y: place[1], mode: "lines", hoverinfo: "skip", name: style[0], legendgroup: style[0],
+        showlegend: !named[style[0]], line: { color: stable[from] === null ? c.muted : c.series[0], width: style[1], dash: style[2] } });
+      named[style[0]] = true;
+      from = end;
+    });
     return traces;
   }
 
@@ -91,12 +101,14 @@
   }
 
   function familyTraces(chosen, c) {
-    var traces = curve(chosen, c.series[0]), plain = [], kinds = {};
+    var traces = curve(chosen, c), plain = [], kinds = {};
     items.forEach(function (one, k) { if (one.event) (kinds[one.kind] = kinds[one.kind] || []).push(k); else plain.push(k); });
-    [true, false].forEach(function (stable) {
-      var which = plain.filter(function (k) { return (items[k].stability !== "unstable") === stable; });
-      traces.push(points(chosen, which, { name: "orbit", showlegend: false, marker: { size: stable ? 6 : 5,
-        color: stable ? c.series[0] : c.surface, line: { width: stable ? 0 : 1.3, color: c.series[0] } } }));
+    ["stable", "unstable", "marginal"].forEach(function (kind) {
+      var which = plain.filter(function (k) { var said = items[k].stability; return kind === (said === "unstable" || said === "marginal" ? said : "stable"); });
+      var colour = kind === "marginal" ? c.muted : c.series[0];
+      if (which.length) traces.push(points(chosen, which, { name: "orbit", showlegend: false, marker: { size: kind === "stable" ? 6 : 5,
+        symbol: kind === "marginal" ? "square" : "circle", color: kind === "stable" ? colour : c.surface,
+        line: { width: kind === "stable" ? 0 : 1.3, color: colour } } }));
     });
     Object.keys(kinds).forEach(function (kind) {
       var look = it.looks[kind], colour = c.series[look[1]];
@@ -130,7 +142,16 @@
     });
   }
 
+  // Shapes say the stability; colours too, or, where it is on neither axis, the energy.
   function atlasTraces(chosen, c) {
+    var told = levels > 1 && it.conserved && chosen.x !== "energy" && chosen.y !== "energy" && chosen.x !== "below";
+    var least = Math.min.apply(null, items.map(function (one) { return one.energy; }));
+    if (told) return ["", "unstable"].map(function (kind) {
+      var which = shown.filter(function (k) { return (items[k].stability === "unstable") === (kind !== ""); });
+      return points(chosen, which, { name: kind || "not unstable", marker: { size: 9, symbol: kind ? "diamond-open" : "circle",
+        color: which.map(function (k) { return items[k].energy; }), cmin: least, cmax: highest, showscale: !kind || !shown.some(function (k) { return items[k].stability !== "unstable"; }),
+        colorscale: [[0, c.series[0]], [1, c.series[1]]], colorbar: { title: { text: NAMES.energy, side: "right" }, thickness: 10, outlinewidth: 0 } } });
+    }).filter(function (trace) { return trace.x.length; });
     var kinds = Array.from(new Set(items.map(function (one) { return one.stability; }))).sort();
     return kinds.map(function (kind, n) {
       var which = shown.filter(function (k) { return items[k].stability === kind; });
@@ -148,8 +169,6 @@
       traces.push({ x: [at, at], y: chosen.y === "angles" ? [0, 180] : moduliRange().map(function (one) { return Math.pow(10, one); }), mode: "lines", hoverinfo: "skip", showlegend: false,
         line: { color: c.ink, width: 1.2, dash: "dot" } });
     }
-    if (picked >= 0 && !many) traces.push({ x: [number(items[picked], chosen.x)], y: [number(items[picked], chosen.y)], mode: "markers",
-      hoverinfo: "skip", showlegend: false, marker: { size: 18, symbol: "circle-open", color: c.ink, line: { width: 2.2 } } });
     if (kept >= 0 && !many) traces.push({ x: [number(items[kept], chosen.x)], y: [number(items[kept], chosen.y)], mode: "markers",
       hoverinfo: "skip", showlegend: false, marker: { size: 16, symbol: "square-open", color: c.ink, line: { width: 2 } } });
     var up = scale(chosen.y, "log-y");
@@ -157,7 +176,8 @@
     return { traces: traces, layout: plots.layout(plots.axis(NAMES[chosen.x], Object.assign(scale(chosen.x, "log-x"), { fixedrange: false })),
       plots.axis(NAMES[chosen.y], Object.assign(up, { fixedrange: false })),
       { uirevision: [chosen.x, chosen.y, part("log-x").checked, part("log-y").checked].join(), showlegend: true,
-        dragmode: plots.drag, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 }, margin: { l: 64, r: 16, t: 60, b: 48 } }) };
+        dragmode: plots.drag, legend: Object.assign({ orientation: "h", y: 1.02, yanchor: "bottom", x: 0 }, phone.matches ? { entrywidth: 105, font: { size: 12 }, x: -0.15 } : {}),
+        margin: { l: 64, r: 16, t: 60, b: 48 } }) };
   });
   plots.plot(part("circle"), function () { return plots.circle(picked < 0 ? [] : items[picked].multipliers); });
 
@@ -167,11 +187,30 @@
     return [-wide, wide];
   }
 
-  function pick(k) {
+  // Where the picked orbit is: a ring that glides there, and brings a zoomed view along.
+  var ring = new plots.Mark(plot, "ring");
+  function ringed(lasting) {
+    var chosen = axes(), full = plot._fullLayout, change = {};
+    if (picked < 0 || !full) { ring.node.hidden = true; return; }
+    var at = [number(items[picked], chosen.x), number(items[picked], chosen.y)];
+    ring.node.hidden = at.some(function (x) { return x === null || x === undefined || !isFinite(x); });
+    if (ring.node.hidden) return;
+    [full.xaxis, full.yaxis].forEach(function (axis, d) {
+      var place = axis.d2l(at[d]), half = (axis.range[1] - axis.range[0]) / 2;
+      if (!axis.autorange && isFinite(place) && Math.abs(place - axis.range[0] - half) > half * 1.001) change[axis._name + ".range"] = [place - half, place + half];
+    });
+    ring.node.style.transitionDuration = (orbitfinder.calm ? 0 : lasting) + "ms";
+    if (lasting && Object.keys(change).length) Plotly.relayout(plot, change); else ring.move(at[0], at[1]);
+    ring.node.hidden = !lasting && Object.keys(change).length > 0;
+  }
+  plot.on("plotly_afterplot", function () { ringed(0); });
+
+  function pick(k, lasting) {
     if (k === picked || k < 0 || k >= items.length) return;
-    var one = items[k], before = picked < 0 ? 0 : items[picked].period;
+    var one = items[k], before = picked < 0 ? 0 : items[picked].period, many = axes().y === "moduli" || axes().y === "angles";
     picked = k;
-    scene.show(one.motion ? new orbitfinder.Motion(one.motion) : null);
+    scene.show(one.motion ? new orbitfinder.Motion(one.motion) : null, family && before && (lasting || 260));
+    if (family) part("says").textContent = one.says;
     scene.landscape = it.landscape;
     scene.level = one.energy;
     player.turn(before, one.period);
@@ -182,9 +221,27 @@
     part("item-text").textContent = text;
     slider.setAttribute("aria-valuetext", text + ", energy " + figure(one.energy, 5) + " " + E + ", period " + figure(one.period, 5) + " " + S);
     part("circle").style.visibility = one.multipliers && one.multipliers.length ? "visible" : "hidden";
-    plots.redraw(plot);
+    if (many) plots.redraw(plot); else ringed(lasting || 260);
     plots.redraw(part("circle"));
   }
+
+  // Along the family by itself, slowly enough at events to read what happens there.
+  var going = null;
+  function travel(on) {
+    clearTimeout(going);
+    going = null;
+    part("travel").textContent = on ? "Stop" : "Go along";
+    part("travel").setAttribute("aria-pressed", String(on));
+    if (!on) return picker.address(false);
+    var place = shown.indexOf(picked), next = place + 1 < shown.length ? place + 1 : 0;
+    (function on_() {
+      var one = items[shown[next]];
+      pick(shown[next], 420);
+      next++;
+      going = next < shown.length ? setTimeout(on_, !one.event ? 420 : one.kind === "resonance" ? 1200 : 2600) : setTimeout(travel, 900, false);
+    })();
+  }
+  if (family) part("travel").addEventListener("click", function () { picker.lock(true); travel(!going); });
 
   var picker = plots.picker(plot, { items: items, pick: pick, picked: function () { return picked; },
     place: function (k) { var chosen = axes(); return [number(items[k], chosen.x), number(items[k], chosen.y)]; },
@@ -209,8 +266,10 @@
     if (it.conserved || !one.event) rows.push([it.conserved ? "Energy" : "Energy at t = 0", figure(one.energy, 10) + " " + E]);
     if (family && it.parameter !== "energy" && it.parameter !== "period") rows.push([it.parameter, figure(one.value, 10)]);
     if (one.event) rows.unshift(["Event", one.event]);
+    if (one.error) rows.push(["Error bar of " + it.parameter, figure(one.error, 2)]);
     if (one.title) rows.unshift(["Orbit", one.title]);
     if (one.action !== null) rows.push(["Action", figure(one.action, 8) + " " + it.units.action]);
+    if (one.on && one.on.length) rows.push(["Lies on", one.on.map(function (way) { return way[1]; }).join(", ")]);
     rows.push(["Stability", one.stability], ["Symmetry", one.symmetry]);
     if (one.event) rows.push(["Multipliers, stability", "of the orbit before the event"]);
     if (one.closure !== null) rows.push(["Closure", figure(one.closure, 3)]);
@@ -244,6 +303,13 @@
         second.textContent = same ? same[1] : "\u2013";
         group.append(second);
       }
+      if (row[0] === "Lies on") value.replaceChildren.apply(value, one.on.map(function (way) {
+        var link = document.createElement("a");
+        link.href = way[0];
+        link.textContent = way[1];
+        link.style.display = "block";
+        return link;
+      }));
       list.append(group);
     });
   }
@@ -278,8 +344,9 @@
   }
   part("alike").addEventListener("change", frame);
   frame();
-  slider.addEventListener("input", function () { pick(shown[+slider.value]); picker.address(false); });
-  function step(by) { var place = shown.indexOf(picked) + by; if (place >= 0 && place < shown.length) { pick(shown[place]); picker.address(false); } }
+  function rest() { if (going) travel(false); }
+  slider.addEventListener("input", function () { rest(); pick(shown[+slider.value]); picker.address(false); });
+  function step(by) { rest(); var place = shown.indexOf(picked) + by; if (place >= 0 && place < shown.length) { pick(shown[place]); picker.address(false); } }
   part("previous").addEventListener("click", function () { step(-1); });
   part("next").addEventListener("click", function () { step(1); });
   function heading() {
@@ -295,6 +362,7 @@
   (family ? [] : ["stability", "symmetry"]).forEach(function (id) { part(id).addEventListener("change", choose); });
   document.querySelectorAll(".pick").forEach(function (button) {
     button.addEventListener("click", function () {
+      rest();
       pick(+button.dataset.item);
       picker.lock(true);
       picker.address(true);
@@ -313,6 +381,14 @@
     }
     orbitfinder.save(it.name.replace(/[^A-Za-z0-9_.-]+/g, "-") + ".csv", "text/csv", rows.join("\n") + "\n");
   });
+  // On a phone the motion stands between the plot and its slider, and the axes are folded away.
+  var box = part("stage").parentNode, after = box.nextElementSibling;
+  function arrange() {
+    part("view").open = !phone.matches;
+    if (phone.matches) slider.parentNode.before(box); else after.before(box);
+  }
+  phone.addEventListener("change", arrange);
+  arrange();
   choose();
   picker.open();
   addEventListener("pageshow", function () { heading(); choose(); });

@@ -63,7 +63,7 @@
       part("beside").addEventListener("change", show);
       show();
     }
-    player.scrubber(function () { return it.period; });
+    player.scrubber(function () { return it.period; }, it.units.time);
 
     var marks = [];
     function span(i) { var all = row(i).filter(function (x) { return x !== null; }); return [Math.min.apply(null, all), Math.max.apply(null, all)]; }
@@ -81,11 +81,11 @@
         marker: { symbol: "arrow", size: [0, 13], angleref: "previous", color: colour } };
     }
     function name(c) { return c < n ? it.labels[c] : "rate of " + it.labels[c - n]; }
-    function unitOf(c) { var u = it.axes[c % n]; return c < n || !u ? u : u + "/s"; }
-    var rates = it.shown.map(function (i) { return it.partners[i]; });
-    it.shown.forEach(function (i) {
+    function unitOf(c) { var u = it.axes[c % n]; return c < n || !u || !it.units.time ? u : u + "/" + it.units.time; }
+    var rates = it.portraits.map(function (i) { return it.partners[i]; });
+    it.portraits.forEach(function (i) {
       var box = part("portraits").querySelector('[data-component="' + i + '"]'), units = it.axes[i];
-      var across = Object.assign({ nticks: 4, zeroline: false }, range(i, it.shown));
+      var across = Object.assign({ nticks: 4, zeroline: false }, range(i, it.portraits));
       var up = Object.assign({ nticks: 5, zeroline: false }, range(it.partners[i], rates));
       plots.plot(box, function () {
         var colour = orbitfinder.colours().series[0];
@@ -94,7 +94,7 @@
           mode: "lines", hoverinfo: "skip", line: { color: colour, width: 1, dash: "dot" } }] : [])
           .concat([arrow(i, it.partners[i], orbitfinder.colours().series[1])]),
         layout: plots.layout(plots.axis(labelled(it.labels[i], units), across),
-          plots.axis(n < size ? labelled("rate", units && units + "/s") : labelled(it.labels[it.partners[i]], it.axes[it.partners[i]]), up), { margin: { l: 52, r: 10, t: 8, b: 40 } }) };
+          plots.axis(n < size ? labelled("rate", unitOf(i + n)) : labelled(it.labels[it.partners[i]], it.axes[it.partners[i]]), up), { margin: { l: 52, r: 10, t: 8, b: 40 } }) };
       });
       marks.push({ mark: new plots.Mark(box, "dot"), component: i });
     });
@@ -125,17 +125,24 @@
     }
 
     var kinds = Array.from(new Set(it.shown.map(function (i) { return it.axes[i]; }))).filter(Boolean).join(" or ");
-    part("velocities").hidden = n === size;
-    var both = [["coordinates", 0, kinds], ["velocities", n, kinds.replace(/rad|m/g, "$&/s")]];
-    var lines = (n < size ? both : both.slice(0, 1)).map(function (one) {
+    // States of a first-order system whose units differ from the first one's have a plot of their own.
+    var T = it.units.time, other = n < size ? [] : it.shown.filter(function (i) { return it.axes[i] !== it.axes[it.shown[0]]; });
+    var same = it.shown.filter(function (i) { return other.indexOf(i) < 0; });
+    function named(which) { return which.map(function (i) { return it.labels[i]; }).join(", "); }
+    function kind(which) { return Array.from(new Set(which.map(function (i) { return it.axes[i]; }))).filter(Boolean).join(" or "); }
+    part("velocities").hidden = n === size && !other.length;
+    if (other.length) part("velocities").setAttribute("aria-label", "The other states over one period");
+    var both = [["coordinates", 0, kind(same), same, other.length ? named(same) : "coordinates"],
+      n < size ? ["velocities", n, T ? kinds.replace(/[^ ]+(?= or |$)/g, "$&/" + T) : "", it.shown, "velocities"] : ["velocities", 0, kind(other), other, named(other)]];
+    var lines = (n < size || other.length ? both : both.slice(0, 1)).map(function (one) {
       var box = part(one[0]);
       plots.plot(box, function () {
         var c = orbitfinder.colours(), dashes = ["solid", "dash", "dot"];
-        return { traces: it.shown.map(function (i, k) {
+        return { traces: one[3].map(function (i, k) {
           return { x: moments, y: row(i + one[1]), mode: "lines", name: it.labels[i],
             line: { color: c.series[k % c.series.length], width: 1.7, dash: dashes[Math.floor(k / c.series.length) % 3] } };
         }),
-        layout: plots.layout(plots.axis(labelled("time", it.units.time), { range: [0, it.period] }), plots.axis(labelled(one[0], one[2])),
+        layout: plots.layout(plots.axis(labelled("time", it.units.time), { range: [0, it.period] }), plots.axis(labelled(one[4], one[2])),
           { showlegend: true, hovermode: "x", legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 },
             margin: { l: 60, r: 14, t: 40, b: 44 } }) };
       });

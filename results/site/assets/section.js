@@ -8,14 +8,14 @@
   function safe(text) { return String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;"); }
   var plot = part("plot"), slider = part("item"), scene = player.add(part("stage"), null);
   player.controls();
-  player.scrubber(function () { return picked < 0 || !it.items[picked].motion ? 0 : it.items[picked].motion.period; });
+  player.scrubber(function () { return picked < 0 || !it.items[picked].motion ? 0 : it.items[picked].motion.period; }, it.time);
 
   // All items of a kind as one trace; a regular motion has a colour that its neighbours do not share.
   function points(kind, c) {
     var x = [], y = [], which = [], colours = [], order = 0;
     it.items.forEach(function (one, k) {
       if (one.kind !== kind) return;
-      var colour = kind === "chaotic" ? c.muted : kind === "orbit" ? c.surface : c.series[[2, 3, 4, 5][order++ % 4] % c.series.length];
+      var colour = kind === "chaotic" ? c.muted : kind === "undecided" ? c.ink : kind === "orbit" ? c.surface : c.series[[2, 3, 4, 5][order++ % 4] % c.series.length];
       one.x.forEach(function (value, i) { x.push(value); y.push(one.y[i]); which.push(k); colours.push(colour); });
     });
     var orbit = kind === "orbit";
@@ -38,7 +38,7 @@
   }
 
   plots.plot(plot, function () {
-    var c = orbitfinder.colours(), kinds = it.told ? ["chaotic", "regular"] : ["motion"];
+    var c = orbitfinder.colours(), kinds = it.told ? ["chaotic", "undecided", "regular"] : ["motion"];
     var traces = kinds.map(function (kind) { return points(kind, c); }).concat(curves(c), [points("orbit", c)]);
     if (picked >= 0) traces.push({ x: it.items[picked].x, y: it.items[picked].y, mode: "markers", hoverinfo: "skip",
       showlegend: false, marker: { size: 6, color: c.series[1], line: { width: 1, color: c.ink } } });
