@@ -19,8 +19,8 @@ from orbitfinder.records.registry import load
 
 ROOT = Path(__file__).parents[1]
 OWN = """import orbitfinder as of
-def spring(k=1.0, damping=0.2):
-    return of.systems.forced_duffing(stiffness=k, damping=damping)
+def spring(frequency=1.2, damping=0.2):
+    return of.systems.forced_duffing(frequency=frequency, damping=damping)
 """
 
 
@@ -93,7 +93,7 @@ def test_sweeps_and_maps_on_a_cluster_are_those_of_one_process(loopback, tmp_pat
     (tmp_path / "own.py").write_text(OWN)
     file = tmp_path / "own.toml"
     file.write_text("name = 'own'\n[system]\nkind = 'python'\nmodule = 'own'\nfunction = 'spring'\n[system.arguments]\n"
-                    "k = 1.0\ndamping = 0.2\n[guess]\nstate = [0.5, 0.0]\nperiod = 5.0\n")  # fmt: skip
+                    "frequency = 1.2\ndamping = 0.2\n[guess]\nstate = [0.5, 0.0]\nperiod = 5.0\n")  # fmt: skip
     from orbitfinder.problemfile.read import load_problem_file
 
     problem = load_problem_file(file, trust=True).wanted

@@ -11,11 +11,11 @@ S. N. Atluri, "Harmonic Balance Methods: A Review and Recent Developments", CMES
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg.lapack import dgetrf, dgetrs
+from scipy.linalg import LinAlgError, LinAlgWarning, solve
 
 from orbitfinder.continuation.follow import Known, Pace, reached
 from orbitfinder.errors import ConvergenceError, InputError
@@ -34,9 +34,8 @@ Accelerations = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray,
 PinRow = Callable[[np.ndarray, float], tuple[float, np.ndarray, float]]
 """(q(0), T) -> residual of the pin and its derivatives in q(0) (n) and in T, for a start at rest"""
 
-NEWTON, SHRINKING, MOST = Settings(floor=1e-9, converged=1e-9, most_evaluations=24, farthest=np.pi), 0.3, 4
-"""Of steps, rad (or m) and rad/s. A matrix is kept while each step is shorter than this share of the last; matrices at
-most: what takes more goes elsewhere"""
+NEWTON = Settings(floor=1e-9, converged=1e-9, most_evaluations=8, farthest=np.pi)
+"""Of steps, rad (or m) and rad/s"""
 TAIL = 1e-3
 """Harmonics are doubled until the last quarter of them is below this, rad (or m)"""
 FINE_TAIL = 1e-5
@@ -46,8 +45,8 @@ FEWEST = 6
 LARGEST_CORRECTION = 0.2
 """A step is halved where Newton moves a coefficient further than this from the prediction"""
 SMALLEST_STEP, FIRST_STEP, LARGEST_STEP = 1e-3, 0.1, 0.5
-QUICK = 2
-"""Matrices up to which the next step is larger"""
+QUICK = 4
+"""Newton iterations up to which the next step is larger"""
 GROWTHS = (1.7, 1.4, 1.2)
 """Growths of the steps along the family, tried in turn: a resonance that stops one is stepped over by another."""
 
@@ -103,74 +102,49 @@ def most_harmonics(coordinates: int) -> int:
 def correct(
     series: Series, accelerations: Accelerations, pin: PinRow, settings: Settings = NEWTON
 ) -> tuple[Series, int] | None:
-    """Newton's method from a prediction, its matrix kept while steps shrink: the solution and how many matrices it
-    took, or None where it does not converge."""
-    factors, last, made = None, 0.0, 0
+    """Newton's method from a prediction: the solution and its iterations, or None where it does not converge."""
 
     def step(series: Series) -> np.ndarray:
-        nonlocal factors, last, made
-        rows, matrix = _system(series, accelerations, pin)
-        nothing = np.full(rows.size, np.nan)
-        if series.frequency <= 0 or not np.all(np.isfinite(rows)):
-            return nothing
-        change = nothing if factors is None else np.asarray(factors(-rows))
-        if not np.abs(change).max() <= SHRINKING * last:
-            factors, made = None if made == MOST else _factors(matrix()), made + 1
-            change = nothing if factors is None else np.asarray(factors(-rows))
-        last = float(np.abs(change).max())
-        return change
+        matrix, rows = _system(series, accelerations, pin)
+        if series.frequency <= 0 or not (np.all(np.isfinite(rows)) and np.all(np.isfinite(matrix))):
+            return np.full(rows.size, np.nan)
+        try:
+            return np.asarray(solve(matrix.T, -rows, overwrite_a=True, check_finite=False, transposed=True))
+        except (LinAlgError, LinAlgWarning):
+            return np.full(rows.size, np.nan)
 
     solved = stepped(series, step, settings, Series.moved)
-    return (solved.w, made) if solved.converged else None
+    return (solved.w, solved.count) if solved.converged else None
 
 
-def _factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-    """What solves with a matrix, given by its transpose, which is overwritten; None where it is singular."""
-    factors, pivots, info = dgetrf(matrix.T, overwrite_a=True)
-    return None if info or not np.isfinite(factors).all() else lambda right: dgetrs(factors, pivots, right, trans=1)[0]
-
-
-def _system(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[np.ndarray, Callable[[], np.ndarray]]:
-    """The residuals q'' - a(q, q') at the nodes, then the pin's, and what makes the matrix (N n + 1 square)."""
+def _system(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[np.ndarray, np.ndarray]:
+    """The Newton matrix (N n + 1 square) and the residuals q'' - a(q, q') at the nodes, then the pin's."""
     coefficients, w = series.coefficients, series.frequency
-    count = len(coefficients)
+    count, n = coefficients.shape
     orders = 2 * np.arange(count) + 1
     angles = np.outer(orders, orders) * np.pi / (4 * count)
     cosines, sines = np.cos(angles), orders * np.sin(angles)
     curvature = -(cosines * orders**2)
     q, v, bend = cosines @ coefficients, -w * sines @ coefficients, curvature @ coefficients
-    known, given = [accelerations(*each) for each in zip(q, v, strict=True)], pin(series.start, series.period)
-    rows = np.append((w**2 * bend - [a for a, _, _ in known]).ravel(), given[0])
-
-    def matrix() -> np.ndarray:
-        shares = w**2 * curvature, w * sines, -cosines
-        return _matrix(series, known, given, shares, bend, v)
-
-    return rows, matrix
-
-
-def _matrix(
-    series: Series, known: Sequence[tuple[np.ndarray, ...]], given: tuple[float, np.ndarray, float],
-    shares: tuple[np.ndarray, ...], bend: np.ndarray, v: np.ndarray,
-) -> np.ndarray:  # fmt: skip
-    """The derivatives of the rows by the coefficients and the frequency."""
-    (count, n), w = series.coefficients.shape, series.frequency
-    matrix, diagonal = np.zeros((count * n + 1, count * n + 1)), np.arange(n)
+    matrix, rows = np.zeros((count * n + 1, count * n + 1)), np.zeros(count * n + 1)
     blocks = matrix[:-1, :-1].reshape(count, n, count, n)
-    for k, (_, by_place, by_rate) in enumerate(known):
+    diagonal = np.arange(n)
+    for k in range(count):
+        a, by_place, by_rate = accelerations(q[k], v[k])
+        rows[k * n : (k + 1) * n] = w**2 * bend[k] - a
         for j in range(count):
             block = blocks[k, :, j, :]
-            block[...] = shares[1][k, j] * by_rate + shares[2][k, j] * by_place
-            block[diagonal, diagonal] += shares[0][k, j]
+            block[...] = w * sines[k, j] * by_rate - cosines[k, j] * by_place
+            block[diagonal, diagonal] += w**2 * curvature[k, j]
         matrix[k * n : (k + 1) * n, -1] = 2 * w * bend[k] - by_rate @ v[k] / w
-    _, by_start, by_period = given
+    rows[-1], by_start, by_period = pin(series.start, series.period)
     matrix[-1, :-1] = np.tile(by_start, count)
     matrix[-1, -1] = -by_period * series.period / w
-    return matrix
+    return matrix, rows
 
 
 def resolved(series: Series, accelerations: Accelerations, pin: PinRow, tail: float) -> tuple[Series, int] | None:
-    """The solution with as many harmonics as its tail asks for (or the memory allows); matrices of the first."""
+    """The solution with as many harmonics as its tail asks for (or the memory allows); iterations of the first."""
     solved = correct(series, accelerations, pin)
     first = None if solved is None else solved[1]
     most = most_harmonics(series.coefficients.shape[1])
