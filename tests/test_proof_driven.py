@@ -83,6 +83,21 @@ def test_stability_of_hamiltonian_drives_is_proved_on_the_circle():
     assert not make_field(of.systems.forced_duffing(damping=1e-9)).symplectic and not make_field(linear()).symplectic
 
 
+@pytest.mark.parametrize(("first", "second", "gradient"), [
+    (lambda q: q[1] / 3, lambda q: q[0] / 3, True),
+    (lambda q: q[1] / 3, lambda q: q[0] * (1 / 3), False),  # a double, which CasADi's slope of q / 3 is too
+    (lambda q: 2 * q[0] * q[1], lambda q: q[0] ** 2, True),
+])  # fmt: skip
+def test_forces_are_a_gradient_without_rounding(first, second, gradient):
+    """1 / 3 is no double: forces q2 / 3 and q1 times the double next to it have no potential."""
+    t, w = ca.SX.sym("t"), 1.3
+    q, v, p = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("p", 1)
+    symbols = of.Symbols(q, v, p, ("w",), (w,), t, 2 * ca.pi / p)
+    forces = ca.vertcat(first(q) + ca.cos(p * t), second(q))
+    model = of.lagrange(ca.sumsqr(v) / 2, 2 * ca.sumsqr(q), symbols, forces=forces)
+    assert make_field(model).symplectic is gradient
+
+
 @pytest.mark.parametrize(("factor", "rate"), [
     (1, lambda t, p: ca.cos(p.w * t)),
     (2, lambda t, p: ca.sin(2 * p.w * t) * ca.cos(4 * (p.w * t) + p.c)),

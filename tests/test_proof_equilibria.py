@@ -199,10 +199,11 @@ def test_what_cannot_be_proved_is_refused():
 
 REPLAY = """
 import casadi as ca
-from orbitfinder.proof.equilibria import CODEC, provable_rest, replay_equilibria
+from orbitfinder.proof.equilibria import CODEC, replay_equilibria
+from orbitfinder.proof.theorem import provable_system
 from orbitfinder.integrate.evaluate import Buffered
 recorded = CODEC.load("equilibria-proof.json")
-model, called = provable_rest(recorded), ca.Function.__call__
+model, called = provable_system(recorded.system), ca.Function.__call__
 def symbolic(self, *given, **named):
     flat = [x for part in given for x in (part if isinstance(part, (list, tuple)) else [part])]
     if not any(isinstance(x, (ca.SX, ca.MX)) for x in flat):

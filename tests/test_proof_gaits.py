@@ -15,10 +15,11 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.hybrid import hybrid
 from orbitfinder.problemfile.read import load_problem_file
-from orbitfinder.proof.balls import arb, precision
+from orbitfinder.proof.balls import arb, midpoints, precision
 from orbitfinder.proof.bordered import false_claims, read_event, replayed_event
+from orbitfinder.proof.gaits import course
 from orbitfinder.proof.record import entry, replay
-from orbitfinder.proof.theorem import Options, prove, refine, settings_for
+from orbitfinder.proof.theorem import Options, provable_model, prove, refine, settings_for
 from orbitfinder.records.orbit import read_document
 from orbitfinder.records.reading import write_json
 
@@ -90,6 +91,17 @@ def test_what_is_no_gait_is_not_proved(walking):
     held = replace(stance, holds={"nothing": lambda x, p: x.theta})
     said = prove(orbit, hybrid([held], [strike], ["strike"], system=model.system)).reason
     assert "nothing could become negative" in said
+
+
+def test_arcs_last_some_time(walking):
+    """Backwards in time the flow is as regular, and no motion of the machine."""
+    orbit, proof = walking["long"]
+    with precision(106):
+        cycle = course(provable_model(orbit))
+        for sign, said in ((1, ""), (-1, "could last no time")):
+            box = [*proof.nodes[0], sign * proof.period]
+            fault = cycle.fault([cycle.arcs[0].passed(box, midpoints(box), Options())])
+            assert said in fault and bool(said) is bool(fault)
 
 
 def test_a_gait_is_recorded_and_replayed(walking, tmp_path, monkeypatch):

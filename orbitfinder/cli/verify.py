@@ -304,7 +304,8 @@ def _prove_branch(
 def _prove_rest(files: tuple[Path, ...], resting: list[Path], record: bool, trust: bool, given: dict[str, Any]) -> None:
     """`prove EQUILIBRIA.json ...`."""
     from orbitfinder.families.equilibrium import load_equilibria
-    from orbitfinder.proof.equilibria import CODEC, provable_rest, prove_equilibria
+    from orbitfinder.proof.equilibria import CODEC, prove_equilibria
+    from orbitfinder.proof.theorem import provable_system
 
     unused = [name for name, value in given.items() if value is not None]
     if unused:
@@ -316,7 +317,7 @@ def _prove_rest(files: tuple[Path, ...], resting: list[Path], record: bool, trus
         equilibria = load_equilibria(file)
         if record:
             check_writable(file.parent, "--record")
-        proof = prove_equilibria(equilibria, provable_rest(equilibria, trusted(file, trust)), note)
+        proof = prove_equilibria(equilibria, provable_system(equilibria.system, trusted(file, trust)), note)
         interrupt.check()
         if record and any(part.proved for part in proof.parts):
             CODEC.save(proof, file.with_name(f"{file.stem}-proof.json"))
@@ -352,10 +353,11 @@ def _shown(ball: Mapping[str, Any]) -> str:
 
 def verify_rest(file: Path, trust: bool = False) -> dict[str, Any]:
     """Replay a recorded proof of equilibria: `passed`, and `message`, a sentence."""
-    from orbitfinder.proof.equilibria import CODEC, provable_rest, replay_equilibria
+    from orbitfinder.proof.equilibria import CODEC, replay_equilibria
+    from orbitfinder.proof.theorem import provable_system
 
     recorded = CODEC.load(file)
-    again, wrong = replay_equilibria(recorded, provable_rest(recorded, trusted(file, trust)), note)
+    again, wrong = replay_equilibria(recorded, provable_system(recorded.system, trusted(file, trust)), note)
     if wrong:
         return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
     events = [part for part in again.parts if part.event]

@@ -8,12 +8,13 @@ IEEE Transactions on Computers 66 (2017) 1281-1292.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime import __version__
 from orbitfinder.errors import InputError
 
 
@@ -132,6 +133,28 @@ def block(matrix: Any, rows: int, first: int, last: int) -> Any:
     """The first `rows` rows and columns first..last of a matrix."""
     width, values = matrix.ncols(), matrix.entries()
     return arb_mat(rows, last - first, [x for i in range(rows) for x in values[i * width + first : i * width + last]])
+
+
+def dense(entries: Mapping[int, Any], rows: int, columns: int) -> Any:
+    """A matrix of balls from its column-major entries, what is absent 0."""
+    return arb_mat(rows, columns, [entries.get(i + rows * j, arb(0)) for i in range(rows) for j in range(columns)])
+
+
+def eigenvalues(matrix: Any) -> tuple[list[Any], bool]:
+    """Balls that hold all eigenvalues, and whether each holds a single eigenvalue. Raises `ValueError`."""
+    try:
+        return list(matrix.eig(algorithm="rump")), True
+    except ValueError:
+        return list(acb_mat(matrix).eig(multiple=True, algorithm="rump")), False
+
+
+class Versioned:
+    """A record of a proof: it says what it was made by."""
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """What it was made by."""
+        return {"orbitfinder": __version__, "python-flint": FLINT}
 
 
 def identity(size: int) -> Any:

@@ -24,14 +24,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from orbitfinder._runtime import __version__
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural, shortened
 from orbitfinder.loops.symmetry import named
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import (
-    FLINT,
     Vector,
+    Versioned,
     arb,
     column,
     decimal,
@@ -243,7 +242,7 @@ def _phase(codes: Programs, cycles: int, drive: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class BorderedRecord:
+class BorderedRecord(Versioned):
     """An event-proof.json: a single zero of the bordered system within `radius` of `centre` (exact floats).
 
     `twist` says how y closes (see `TwistedFormulation`), `cycles` how many of a drive's periods it takes; sections are
@@ -280,11 +279,6 @@ class BorderedRecord:
     tangent: tuple[Mapping[str, Any], ...] = ()
     side: str = ""
     wall_time: float = 0.0
-
-    @property
-    def versions(self) -> dict[str, str]:
-        """What it was made by."""
-        return {"orbitfinder": __version__, "python-flint": FLINT}
 
     @property
     def words(self) -> list[tuple[str, str]]:

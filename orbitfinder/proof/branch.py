@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime import __version__
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.loops.symmetry import named
@@ -30,8 +29,8 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.along import DEGREE, Along, along, bundle, ranged, ranges, table
 from orbitfinder.proof.balls import (
-    FLINT,
     Vector,
+    Versioned,
     arb,
     arb_mat,
     arb_poly,
@@ -212,7 +211,7 @@ class Passage:
 
 
 @dataclass(frozen=True)
-class Record:
+class Record(Versioned):
     """A branch-proof.json."""
 
     _entries = (..., "wall_time", "versions", "pieces", "passages")
@@ -231,11 +230,6 @@ class Record:
     pieces: tuple[BranchPiece, ...] = ()
     passages: tuple[Passage, ...] = ()
     wall_time: float = 0.0
-
-    @property
-    def versions(self) -> dict[str, str]:
-        """What it was made by."""
-        return {"orbitfinder": __version__, "python-flint": FLINT}
 
 
 @dataclass(frozen=True)

@@ -19,43 +19,43 @@ import operator
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
+from functools import cached_property, partial
 from typing import Any, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
 
-from orbitfinder._runtime import __version__
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
 from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.families.rest_problem import state_sizes
-from orbitfinder.mechanics.kind import build_model, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import parameter_sizes
 from orbitfinder.proof.balls import (
-    FLINT,
     Vector,
+    Versioned,
     acb,
     acb_mat,
     arb,
     arb_mat,
     decimal,
+    dense,
+    eigenvalues,
     exact,
     floats,
+    identity,
     inside,
     magnitude,
     midpoints,
     precision,
     radius,
 )
-from orbitfinder.proof.field import NUMERICAL
+from orbitfinder.proof.field import NUMERICAL, sloped
 from orbitfinder.proof.krawczyk import approximate_inverse, contracted
 from orbitfinder.proof.program import Ring, ScalarProgram, derived
-from orbitfinder.proof.record import DIGITS, MARGIN, close, enclosure, holds, holds_each
+from orbitfinder.proof.record import DIGITS, MARGIN, at_least, close, enclosure, holds, holds_each
 from orbitfinder.proof.series import BALLS
-from orbitfinder.proof.theorem import NotProved, Options, Progress
+from orbitfinder.proof.theorem import NotProved, Options, Progress, provable_system
 from orbitfinder.proof.trajectory import positive_definite
 from orbitfinder.records.codec import Codec
 
@@ -81,7 +81,7 @@ class ProvedRest(Shown):
         state: x (d).
         eigenvalues: (re, im) of each, of J.
         stability: asymptotically stable | unstable | stable (by its energy) | open, of equilibria.
-        vector: numbers a with c = a / a.a.
+        vector: c (d), the numbers that fix the length of a.
         known: of a Hopf point its frequency (rad/s), crossing d Re lambda / dp and lyapunov.
         criticality: supercritical | subcritical.
     """
@@ -110,7 +110,7 @@ class ProvedRest(Shown):
 
 
 @dataclass(frozen=True)
-class ProvedEquilibria(Shown):
+class ProvedEquilibria(Shown, Versioned):
     """An equilibria-proof.json: what was proved of the points and the events of an equilibria.json.
 
     Args:
@@ -135,11 +135,6 @@ class ProvedEquilibria(Shown):
         """Whether everything was."""
         return bool(self.parts) and all(part.proved for part in self.parts)
 
-    @property
-    def versions(self) -> dict[str, str]:
-        """What it was made by."""
-        return {"orbitfinder": __version__, "python-flint": FLINT}
-
 
 CODEC, PLACES = Codec(ProvedEquilibria, "equilibria-proof", "`orbitfinder prove`", "prove it again"), (MARGIN, DIGITS)
 read_proof = CODEC.load
@@ -158,36 +153,59 @@ class _Rest:
         x, a, b, c, u, v, z, y = (ca.SX.sym(name, d) for name in "xabcuvzy")
         kappa, value, rate = ca.SX.sym("kappa"), p[self.at], ca.densify(model.rate(0.0, x, p))
 
-        def forms(inputs: Sequence[ca.SX], results: Callable[[ca.SX], Sequence[ca.SX]]) -> ScalarProgram:
-            return derived("rest", [*inputs, p], rate, results)
+        self.rate, self.symbols = rate, (p, value, x, a, b, c, u, v, z, y, kappa)
+        self.zeros = dict[str, ScalarProgram]()
 
-        def zero(of: Callable[[ca.SX], ca.SX], by: ca.SX) -> ScalarProgram:
-            return forms([x, a, b, kappa, c], lambda f: [ca.densify(of(f)), ca.jacobian(of(f), by)])
+    def _form(self, inputs: Sequence[ca.SX], results: Callable[[ca.SX], Sequence[ca.SX]]) -> ScalarProgram:
+        return derived("rest", [*inputs, self.symbols[0]], self.rate, results)
 
-        def fold(f: ca.SX) -> ca.SX:
-            return ca.vertcat(f, ca.jtimes(f, x, a), ca.dot(c, a) - 1.0)
+    def zero(self, event: str) -> ScalarProgram:
+        """The rows of a theorem in x, a, b, kappa, c, and their derivatives by its unknowns."""
+        if event not in self.zeros:
+            _, value, x, a, b, c, *_, kappa = self.symbols
 
-        def hopf(f: ca.SX) -> ca.SX:
-            first, second = ca.jtimes(f, x, a) + kappa * b, ca.jtimes(f, x, b) - a
-            return ca.vertcat(f, first, second, ca.dot(c, a) - 1.0, ca.dot(c, b))
+            def rows(f: ca.SX) -> ca.SX:
+                turned, unit = (partial(ca.jtimes, f, x), ca.dot(c, a) - 1.0)
+                parts = {
+                    "": [f], "fold": [f, turned(a), unit],
+                    "hopf": [f, turned(a) + kappa * b, turned(b) - a, unit, ca.dot(c, b)],
+                }  # fmt: skip
+                return ca.densify(ca.vertcat(*parts[event]))
+
+            unknowns = {"": x, "fold": ca.vertcat(x, a, value), "hopf": ca.vertcat(x, a, b, kappa, value)}[event]
+            self.zeros[event] = self._form([x, a, b, kappa, c], sloped(unknowns, rows))
+        return self.zeros[event]
+
+    @cached_property
+    def first(self) -> ScalarProgram:
+        """J and f_p."""
+        _, value, x, *_ = self.symbols
+        return self._form([x], lambda f: [ca.jacobian(f, x), ca.jacobian(f, value)])
+
+    @cached_property
+    def forms(self) -> dict[str, ScalarProgram]:
+        """B(u, v), C(u, v, z) and the change of J u along (y, 1) in state and parameter."""
+        _, value, x, _, _, _, u, v, z, y, _ = self.symbols
+        both, away = ca.vertcat(x, value), ca.vertcat(y, 1.0)
 
         def bent(f: ca.SX) -> ca.SX:
             return ca.jtimes(ca.jtimes(f, x, u), x, v)
 
-        self.zeros = {
-            "": zero(lambda f: f, x), "fold": zero(fold, ca.vertcat(x, a, value)),
-            "hopf": zero(hopf, ca.vertcat(x, a, b, kappa, value)),
+        made: dict[str, Callable[[ca.SX], ca.SX]] = {
+            "second": bent, "third": lambda f: ca.jtimes(bent(f), x, z),
+            "moving": lambda f: ca.jtimes(ca.jtimes(f, x, u), both, away),
         }  # fmt: skip
-        self.first = forms([x], lambda f: [ca.jacobian(f, x), ca.jacobian(f, value)])
-        vectors, both, away = [x, u, v, z, y], ca.vertcat(x, value), ca.vertcat(y, 1.0)
-        self.second = forms(vectors, lambda f: [ca.densify(bent(f))])
-        self.third = forms(vectors, lambda f: [ca.densify(ca.jtimes(bent(f), x, z))])
-        self.moving = forms(vectors, lambda f: [ca.densify(ca.jtimes(ca.jtimes(f, x, u), both, away))])
-        self.energy = None
-        if model.canonical and model.conservative:
-            n = model.degrees_of_freedom if model.rates is None else d
-            energy = next(each for each in model.invariants if each.generator is None).value(x[:n], x[n:], p)
-            self.energy = derived("bend", [x, p], energy, lambda exact: [ca.hessian(exact, x)[0]])
+        return {name: self._form([x, u, v, z, y], lambda f, of=of: [ca.densify(of(f))]) for name, of in made.items()}  # type: ignore[misc]
+
+    @cached_property
+    def energy(self) -> ScalarProgram | None:
+        """The second derivatives of an energy that is conserved as the model is made."""
+        model, (p, _, x, *_) = self.model, self.symbols
+        if not (model.canonical and model.conservative):
+            return None
+        n = model.degrees_of_freedom if model.rates is None else self.size
+        energy = next(each for each in model.invariants if each.generator is None).value(x[:n], x[n:], p)
+        return derived("bend", [x, p], energy, lambda exact: [ca.hessian(exact, x)[0]])
 
     def parameters(self, value: Any) -> Vector:
         """All of them as the decimals that they are written as, but for that."""
@@ -195,21 +213,17 @@ class _Rest:
         every[self.at] = value
         return every
 
-    def matrix(self, entries: Mapping[int, Any], rows: int, columns: int) -> Any:
-        """A matrix from its column-major entries."""
-        return arb_mat(rows, columns, [entries.get(i + rows * j, arb(0)) for i in range(rows) for j in range(columns)])
-
     def slopes(self, x: Vector, p: Vector) -> tuple[Any, Vector]:
         """J and f_p."""
         jacobian, by_value = self.first.run([x, p], BALLS)
         d = self.size
-        return self.matrix(jacobian, d, d), [by_value.get(i, arb(0)) for i in range(d)]
+        return dense(jacobian, d, d), [by_value.get(i, arb(0)) for i in range(d)]
 
-    def complex(self, code: Any, x: Vector, p: Vector, *given: Any) -> list[Any]:
+    def complex(self, form: str, x: Vector, p: Vector, *given: Any) -> list[Any]:
         """A form (d) of complex vectors u, v, z, y."""
         zero = [acb(0)] * self.size
         vectors = [list(vector.entries()) for vector in given] + [zero] * (4 - len(given))
-        entries = code.run([list(map(acb, x)), *vectors, list(map(acb, p))], COMPLEX)[0]
+        entries = self.forms[form].run([list(map(acb, x)), *vectors, list(map(acb, p))], COMPLEX)[0]
         return [entries.get(i, acb(0)) for i in range(self.size)]
 
 
@@ -221,21 +235,9 @@ class Slopes:
     by_value: Vector
 
     @cached_property
-    def _eigenvalues(self) -> tuple[list[Any], bool]:
-        try:
-            return list(acb_mat(self.jacobian).eig(algorithm="rump")), True
-        except ValueError:
-            return list(acb_mat(self.jacobian).eig(multiple=True, algorithm="rump")), False
-
-    @property
-    def values(self) -> list[Any]:
-        """Balls that hold all eigenvalues."""
-        return self._eigenvalues[0]
-
-    @property
-    def isolated(self) -> bool:
-        """Whether each of them holds a single eigenvalue."""
-        return self._eigenvalues[1]
+    def eigenvalues(self) -> tuple[list[Any], bool]:
+        """Balls that hold all of them, and whether each holds a single eigenvalue."""
+        return eigenvalues(self.jacobian)
 
 
 Wide = Callable[..., dict[str, Any]]
@@ -285,7 +287,7 @@ class _RestTheorem:
 
     def concluded(self, part: ProvedRest, w: Vector, slopes: Slopes, wide: Wide) -> ProvedRest:  # noqa: ARG002
         """What follows for a point whose zero is proved. Raises `NotProved`."""
-        return replace(part, stability=_stability(self.rest, slopes.values, w, decimal(self.stated.value)))
+        return replace(part, stability=_stability(self.rest, slopes.eigenvalues[0], w, decimal(self.stated.value)))
 
     def unknowns(self, u: Vector) -> Vector:
         """Those that are so many of their sizes."""
@@ -294,10 +296,10 @@ class _RestTheorem:
     def evaluated(self, u: Vector) -> tuple[Vector, Any]:
         """F and its derivatives by the unknowns in their sizes."""
         x, a, b, kappa, value = self.parts(self.unknowns(u))
-        rows, slopes = self.rest.zeros[self.stated.event].run(
+        rows, slopes = self.rest.zero(self.stated.event).run(
             [x, a, b, [kappa], self.c.tolist(), self.rest.parameters(value)], BALLS
         )
-        matrix = self.rest.matrix(slopes, len(u), len(u)) * exact(np.diag(self.sizes))
+        matrix = dense(slopes, len(u), len(u)) * exact(np.diag(self.sizes))
         return [rows.get(i, arb(0)) for i in range(len(u))], matrix
 
     def proved(self) -> tuple[Vector, float, float]:
@@ -377,8 +379,9 @@ class _HopfTheorem(_RestTheorem):
         x, a, b, kappa, value = self.parts(w)
         if not kappa > 0:
             raise NotProved("the two eigenvalues with sum 0 could be real: a neutral saddle")
-        others = [number for number in slopes.values if not number.real.contains(0)]
-        if not slopes.isolated or len(others) != self.rest.size - 2:
+        values, isolated = slopes.eigenvalues
+        others = [number for number in values if not number.real.contains(0)]
+        if not isolated or len(others) != self.rest.size - 2:
             raise NotProved("another eigenvalue could be on the imaginary axis")
         omega = kappa.sqrt()
         q = acb_mat([[acb(re, omega * im)] for re, im in zip(a, b, strict=True)])
@@ -399,12 +402,6 @@ def _along(c: np.ndarray, sizes: np.ndarray) -> np.ndarray:
 def _theorems() -> Mapping[str, type[_RestTheorem]]:
     """By the event."""
     return {"": _RestTheorem, "fold": _FoldTheorem, "hopf": _HopfTheorem}
-
-
-def provable_rest(equilibria: Equilibria | ProvedEquilibria, trusted: Path | None = None) -> Model:
-    """The Model of equilibria; of a chain in the formulation with the fewest operations."""
-    quick = {"formulation": "recursive"} if system_kind(equilibria.system).pendulum else {}
-    return build_model({**equilibria.system, **quick}, trusted)
 
 
 def prove_equilibria(
@@ -439,7 +436,7 @@ def prove_equilibria(
         for k, event in enumerate(equilibria.events) if event.kind in _theorems()
     ]  # fmt: skip
     empty = ProvedEquilibria(equilibria.name, equilibria.system, equilibria.parameter)
-    return _concluded(empty, model or provable_rest(equilibria), [*points, *events], progress, *PLACES)
+    return _concluded(empty, model or provable_system(equilibria.system), [*points, *events], progress, *PLACES)
 
 
 def replay_equilibria(
@@ -448,7 +445,7 @@ def replay_equilibria(
     """The proof done again from its record alone, and every recorded claim that it does not prove."""
     compared: dict[str, Callable[[Any, Any], bool]] = {
         **dict.fromkeys(("event", "index", "stability", "criticality", "vector"), operator.eq),
-        "radius": lambda old, new: 0 < old <= new * (1 + 1e-6),
+        "radius": at_least,
         "contraction": close,
         "value": holds,
         "state": lambda old, new: holds(list(old), list(new)),
@@ -464,7 +461,7 @@ def replay_equilibria(
         except (KeyError, TypeError, ValueError):
             state, value, frequency = [], 0.0, 0.0
         stated.append(_Claim(part.event, part.index, np.array(state), value, part.vector, frequency))
-    fresh = _concluded(recorded, model or provable_rest(recorded), stated, progress, 1.0, 2 * DIGITS)
+    fresh = _concluded(recorded, model or provable_system(recorded.system), stated, progress, 1.0, 2 * DIGITS)
     wrong = []
     for old, new in zip(claims, fresh.parts, strict=True):
         faults = [name for name, same in compared.items() if not same(getattr(old, name), getattr(new, name))]
@@ -515,11 +512,11 @@ def _part(rest: _Rest, what: _Claim, margin: float, digits: int) -> ProvedRest:
         unit = unit or float(abs(ball.mid()))
         return enclosure(ball + arb(0, (margin - 1.0) * LEAST * unit), digits, margin)
 
-    pace = max((float(abs(number).mid()) for number in linear.values), default=0.0)
+    pace = max((float(abs(number).mid()) for number in linear.eigenvalues[0]), default=0.0)
     part = ProvedRest(
         what.event, what.index, True, "", box, contraction, wide(value, float(size[0])),
         tuple(wide(ball, float(unit)) for ball, unit in zip(x, sizes, strict=True)),
-        tuple((wide(number.real, pace), wide(number.imag, pace)) for number in linear.values),
+        tuple((wide(number.real, pace), wide(number.imag, pace)) for number in linear.eigenvalues[0]),
     )  # fmt: skip
     return theorem.concluded(part, w, linear, wide)
 
@@ -532,7 +529,7 @@ def _stability(rest: _Rest, values: Sequence[Any], x: Vector, value: Any) -> str
     if any(number.real > 0 for number in values):
         return "unstable"
     if rest.energy is not None:
-        bend = rest.matrix(rest.energy.run([x, rest.parameters(value)], BALLS)[0], rest.size, rest.size)
+        bend = dense(rest.energy.run([x, rest.parameters(value)], BALLS)[0], rest.size, rest.size)
         if positive_definite(bend) or positive_definite(-bend):
             return "stable"
     return "open"
@@ -546,8 +543,8 @@ def _normal_form(
     The left vector w, (J - i omega)^T w = 0, is that of the bordered equations (J - i omega)^T w + c mu = 0, q0.w = 1
     with q0 near q: times q^T they say that mu = 0, because c.q = 1.
     """
-    d, turn, matrix = rest.size, acb(0, omega), acb_mat(slopes.jacobian)
-    shifted = (matrix - turn * acb_mat(d, d, [float(i == j) for i in range(d) for j in range(d)])).transpose().tolist()
+    d, turn, matrix, unit = rest.size, acb(0, omega), acb_mat(slopes.jacobian), acb_mat(identity(rest.size))
+    shifted = (matrix - turn * unit).transpose().tolist()
     last = [entry.mid() for entry in q.entries()]
     rows = [[*row, acb(number)] for row, number in zip(shifted, c.tolist(), strict=True)] + [[*last, acb(0)]]
     w = acb_mat(rows).solve(acb_mat(d + 1, 1, [0] * d + [1])).entries()[:d]
@@ -562,12 +559,11 @@ def _normal_form(
     conjugate = acb_mat(d, 1, [entry.conjugate() for entry in q.entries()])
     zero = acb_mat(d, 1)
     away = solved(matrix, [-acb(number) for number in slopes.by_value])
-    crossing = (along(rest.complex(rest.moving, x, p, q, zero, zero, away)) / weight).real
-    mean = solved(matrix, rest.complex(rest.second, x, p, q, conjugate))
-    unit = acb_mat(d, d, [float(i == j) for i in range(d) for j in range(d)])
-    double = solved(2 * turn * unit - matrix, rest.complex(rest.second, x, p, q, q))
-    cubic = rest.complex(rest.third, x, p, q, q, conjugate)
-    straight, swinging = (rest.complex(rest.second, x, p, *pair) for pair in ((q, mean), (conjugate, double)))
+    crossing = (along(rest.complex("moving", x, p, q, zero, zero, away)) / weight).real
+    mean = solved(matrix, rest.complex("second", x, p, q, conjugate))
+    double = solved(2 * turn * unit - matrix, rest.complex("second", x, p, q, q))
+    cubic = rest.complex("third", x, p, q, q, conjugate)
+    straight, swinging = (rest.complex("second", x, p, *pair) for pair in ((q, mean), (conjugate, double)))
     whole = along(cubic) - 2 * along(straight) + along(swinging)
     return crossing, (whole / weight).real / (2 * omega * squared)
 

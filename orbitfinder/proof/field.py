@@ -23,7 +23,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.factorise import solve_positive_definite
 from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal, exact, fmpq, identity
+from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal, dense, exact, fmpq, identity
 from orbitfinder.proof.invariance import Multiple, drive
 from orbitfinder.proof.program import ScalarProgram, derived, program
 from orbitfinder.proof.series import BALLS, Recurrence, coefficients, outputs, recurrence, whole_series
@@ -105,8 +105,18 @@ def with_slopes(
     name: str, inputs: list[ca.SX], source: ca.SX, by: ca.SX, made: Callable[[ca.SX], ca.SX] = lambda exact: exact
 ) -> tuple[ScalarProgram, ScalarProgram]:
     """The programs of rates made of a source, and of these with their derivatives."""
-    both = derived(f"{name}_and_jacobian", inputs, source, lambda exact: [made(exact), ca.jacobian(made(exact), by)])
+    both = derived(f"{name}_and_jacobian", inputs, source, sloped(by, made))
     return derived(name, inputs, source, lambda exact: [made(exact)]), both
+
+
+def sloped(by: ca.SX, made: Callable[[ca.SX], ca.SX] = lambda exact: exact) -> Callable[[ca.SX], list[ca.SX]]:
+    """What is made of a source, and its derivatives, as `derived` takes them."""
+
+    def results(exact: ca.SX) -> list[ca.SX]:
+        value = made(exact)
+        return [value, ca.jacobian(value, by)]
+
+    return results
 
 
 def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca.SX) -> Programs:
@@ -219,7 +229,7 @@ class Field:
         """Mass matrix M(q) (n x n) at z, of a mechanical system."""
         assert self.mass_program is not None
         n, entries = self.size, self.mass_program.run(self._arguments(z), BALLS)[0]
-        return arb_mat(n, n, [entries.get(i + n * j, arb(0)) for i in range(n) for j in range(n)])
+        return dense(entries, n, n)
 
     def _arguments(self, z: Sequence[Any]) -> list[Any]:
         n, d = self.size, self.dimension
@@ -253,8 +263,9 @@ def gradient_forces(model: Model, constants: Mapping[int, Sequence[Any]]) -> boo
         return False
     n = model.degrees_of_freedom
     t, q, v, p = ca.SX.sym("t"), ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("p", len(model.parameter_values))
-    slopes = ca.jacobian(model.forces(t, q, v, p), ca.vertcat(q, v))
-    code = recurrence(program(ca.Function("slopes", [t, q, v, p], [slopes])), constants)
+    given, x = [t, q, v, p], ca.vertcat(q, v)
+    slopes = derived("slopes", given, model.forces(*given), lambda exact: [ca.jacobian(exact, x)])
+    code = recurrence(slopes, constants)
     places = {
         entry: value for entry, value in code.outputs[0].items() if not (value in code.fixed and code.fixed[value] == 0)
     }

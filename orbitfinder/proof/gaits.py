@@ -31,14 +31,16 @@ from orbitfinder.proof.balls import (
     between,
     block,
     decimal,
+    dense,
     exact,
     floats,
     identity,
+    inside,
     magnitude,
     midpoints,
 )
 from orbitfinder.proof.enclosure import TaylorSettings, Tube, cloud, integrate
-from orbitfinder.proof.field import Field, make_field, with_slopes
+from orbitfinder.proof.field import Field, make_field, sloped, with_slopes
 from orbitfinder.proof.formulation import Formulation
 from orbitfinder.proof.krawczyk import (
     MOST_ITERATIONS,
@@ -78,7 +80,7 @@ class GuardedArc:
 
         def with_slopes(function: Any) -> ScalarProgram:
             value = ca.densify(function(x, p))
-            return derived("event", [x, p], value, lambda exact: [exact, ca.jacobian(exact, x)])
+            return derived("event", [x, p], value, sloped(x))
 
         self.guards = {each.name: with_slopes(each.guard) for each in self.leaving}
         self.allowed = {each.name: with_slopes(each.allowed) for each in self.leaving if each.allowed is not None}
@@ -92,9 +94,7 @@ class GuardedArc:
     def value(self, code: ScalarProgram, x: Vector) -> tuple[Vector, Any]:
         """An event's function of the state and its slopes."""
         rows, slopes = code.run([x, self.field.parameters], BALLS)
-        count = max(rows) + 1
-        entries = [slopes.get(i + count * j, arb(0)) for i in range(count) for j in range(self.size)]
-        return [rows[i] for i in range(count)], arb_mat(count, self.size, entries)
+        return [rows[i] for i in range(len(rows))], dense(slopes, len(rows), self.size)
 
     def rate(self, x: Vector) -> Any:
         """The field at a state, a column."""
@@ -179,8 +179,7 @@ class GuardedCycle:
         values = self.residual(centre, [each.centre for each in passed])
         slopes = self.jacobian([each.end for each in passed], [each.derivatives for each in passed])
         image, contraction = contracted(values, slopes, box)
-        proved = all(x.is_finite() and y.contains_interior(x) for x, y in zip(image, box, strict=True))
-        return Krawczyk(image, box, contraction, proved, []), passed
+        return Krawczyk(image, box, contraction, inside(box, image), []), passed
 
     def returns(self, passed: Sequence[Passed]) -> list[Any]:
         """Of each arc, how the state after its event varies with its first."""
@@ -225,6 +224,8 @@ def _fault(arc: GuardedArc, passed: Passed) -> str:
     """See `GuardedCycle.fault`: in each piece of each step a guard is not 0, or not allowed, or goes the other way; in
     the last ones that of the end goes through 0 in its direction, which it can do but once."""
     ending = False
+    if not passed.steps[0].constants[-1] > 0:
+        return f"the arc before {arc.transition.name} could last no time"
     for step in passed.steps:
         for k in range(PIECES):
             h = arb(step.h)
@@ -281,10 +282,8 @@ class TwistedArc(GuardedArc):
             self.size, self.size, recurrence(plain, fixed), recurrence(slopes, fixed), None, None, parameters
         )  # fmt: skip
         inputs, whole = [state, p], ca.vertcat(reset, guard, rate)
-        self.guards = {
-            transition.name: derived("guard", inputs, guard, lambda exact: [exact, ca.jacobian(exact, state)])
-        }
-        self.reset = derived("reset", inputs, whole, lambda exact: [struck(exact), ca.jacobian(struck(exact), state)])
+        self.guards = {transition.name: derived("guard", inputs, guard, sloped(state))}
+        self.reset = derived("reset", inputs, whole, sloped(state, struck))
         form = Formulation(ALONE, self.size, 1, (0,) * self.size, (0,) * self.size, conserved=False)
         self.equations = TheoremEquations(self.field, form, None)
 

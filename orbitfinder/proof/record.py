@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from orbitfinder._runtime import __version__
 from orbitfinder._runtime.cluster import home
 from orbitfinder.errors import InputError, shortened
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import FLINT, arb, precision
+from orbitfinder.proof.balls import Versioned, arb, precision
 from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, provable_model, proved_until
 from orbitfinder.records.orbit import Orbit, read_document, recorded_proof
 from orbitfinder.records.reading import read_as, write_json
@@ -51,7 +50,7 @@ def entry(proof: Proof, margin: float = MARGIN, digits: int = DIGITS) -> dict[st
             "bits": proof.settings.bits,
             "tolerance": proof.settings.tolerance,
             "wall_time": round(proof.wall_time, 1),
-            "versions": {"orbitfinder": __version__, "python-flint": FLINT},
+            "versions": Versioned().versions,
         }
         return document | (_proved(proof, margin, digits) if proof.proved else {})
 
@@ -189,7 +188,7 @@ def _wider(recorded: Any, fresh: float) -> bool:
     return isinstance(recorded, (int, float)) and fresh <= recorded <= MARGIN * Options.nearness
 
 
-def _at_least(recorded: Any, fresh: float) -> bool:
+def at_least(recorded: Any, fresh: float) -> bool:
     """True when a recorded radius claims no larger a box than the one proved again (to rounding)."""
     return isinstance(recorded, float) and 0 < recorded <= fresh * (1 + 1e-6)
 
@@ -238,7 +237,7 @@ COMPARED: dict[str, Callable[[Any, Any], bool]] = {
     "multipliers": holds_each,
     **dict.fromkeys(("contraction", "steps"), close),
     **dict.fromkeys(("distance", "period_distance", "enclosure_radius"), _wider),
-    "box_radius": _at_least,
+    "box_radius": at_least,
     "phase": lambda recorded, fresh: (
         abs((recorded - fresh + 0.5) % 1.0 - 0.5) < 1e-6
     ),  # periods: a minimum, known to 1e-9

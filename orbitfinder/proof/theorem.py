@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -181,10 +181,15 @@ def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | No
 
 
 def provable_model(orbit: Orbit, trusted: Path | None = None) -> Model:
-    """The Model of an orbit; of a chain in the formulation with the fewest operations."""
+    """The Model of an orbit."""
     refuse_controlled(orbit, "prove")
-    quick = {"formulation": "recursive"} if system_kind(orbit.system).pendulum else {}
-    return build_model({**orbit.system, **quick}, trusted)
+    return provable_system(orbit.system, trusted)
+
+
+def provable_system(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
+    """The Model of a system; of a chain in the formulation with the fewest operations."""
+    quick = {"formulation": "recursive"} if system_kind(system).pendulum else {}
+    return build_model({**system, **quick}, trusted)
 
 
 def _prove(
@@ -210,9 +215,13 @@ def _prove(
                 return proof
         rounds += 1
         say(f"multipliers or recorded balls open in a box of radius {radius(path.box):.1g}; once more in a smaller one")
-        finer = replace(options, order=options.order + 6 * rounds, tolerance=options.tolerance * 1e-6**rounds)
         with precision(options.bits + 32 * rounds):
-            path = trajectory(equations, path.box, finer)
+            path = trajectory(equations, path.box, finer(options, rounds))
+
+
+def finer(options: Options, rounds: int) -> Options:
+    """The integrator's settings in a further round."""
+    return replace(options, order=options.order + 6 * rounds, tolerance=options.tolerance * 1e-6**rounds)
 
 
 def _prove_gait(orbit: Orbit, model: Model, options: Options, say: Progress, enough: Callable[[Proof], bool]) -> Proof:
@@ -223,9 +232,8 @@ def _prove_gait(orbit: Orbit, model: Model, options: Options, say: Progress, eno
     contracted = enclosed(lambda box: arcs.krawczyk(box, options)[0], centre, say)
     box, rounds = contracted.image, 0
     while True:
-        finer = replace(options, order=options.order + 6 * rounds, tolerance=options.tolerance * 1e-6**rounds)
         with precision(options.bits + 32 * rounds):
-            again, passed = arcs.krawczyk(box, finer)
+            again, passed = arcs.krawczyk(box, finer(options, rounds))
             box = [x.intersection(y) for x, y in zip(box, again.image, strict=True)]
             parts = arcs.parts(box)
             if fault := arcs.fault(passed):

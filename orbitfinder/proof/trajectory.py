@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.proof.balls import Vector, acb_mat, arb, arb_mat, between, block, fmpq, identity
+from orbitfinder.proof.balls import Vector, arb, arb_mat, between, block, eigenvalues, fmpq, identity
 from orbitfinder.proof.enclosure import TaylorSettings, Tube
 from orbitfinder.proof.field import Field
 from orbitfinder.proof.formulation import Formulation, image
@@ -217,16 +217,6 @@ class Stability:
     multipliers: list[Any]
 
 
-def _multipliers(matrix: Any, apart: bool) -> list[Any]:
-    """Balls that hold all eigenvalues, each a single one if they must be `apart`, or else if they can be."""
-    try:
-        return list(matrix.eig(algorithm="rump"))
-    except ValueError:
-        if apart:
-            raise
-        return list(acb_mat(matrix).eig(multiple=True, algorithm="rump"))
-
-
 def stability(reduced: Any, conserved: bool = True) -> Stability:
     """The verdict on a reduced monodromy (2n - 2 square, d - 1 where nothing is conserved, d of a driven system, which
     is `conserved` where it is symplectic).
@@ -240,8 +230,10 @@ def stability(reduced: Any, conserved: bool = True) -> Stability:
         others = "one degree of freedom: no multiplier besides the two at 1"
         return Stability("linearly stable", others if conserved else "no multiplier besides the flow's", [])
     try:
-        multipliers = _multipliers(reduced, conserved)
+        multipliers, apart = eigenvalues(reduced)
     except (ValueError, ZeroDivisionError):
+        multipliers, apart = [], False
+    if not multipliers or (conserved and not apart):
         return Stability("open", "two multipliers could not be separated", [])
     multipliers.sort(key=lambda mu: (-round(float(abs(mu).mid()), 6), float(mu.imag.mid())))
     largest = abs(multipliers[0])
