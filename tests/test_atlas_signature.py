@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from orbitfinder.atlas.attempt import attempt
 from orbitfinder.atlas.signature import (
@@ -19,6 +20,7 @@ from orbitfinder.atlas.signature import (
 )
 from orbitfinder.atlas.starts import Target, context_of, make_start
 from orbitfinder.integrate.cvodes import build_flow, end_state
+from orbitfinder.mechanics.model import between
 from orbitfinder.mechanisms.chain import chain
 
 
@@ -85,3 +87,14 @@ def test_starts_depend_on_seed_and_index_alone():
     assert np.array_equal(one.state, other.state) and one.period == other.period
     found = [attempt(first, 0, k).orbit for k in range(7)]
     assert any(found) and all(abs(orbit.energy + 30.0) < 1e-10 for orbit in found if orbit)
+
+
+def test_states_between_samples_are_those_of_scipys_splines():
+    """Coordinates by Hermite's cubics through places and rates, inside and at the ends; all by splines where n = d."""
+    random, times = np.random.default_rng(0), np.array([0.0, 0.3, 0.4, 1.1])
+    states, moments = random.normal(size=(4, 6)), np.array([[0.0, 0.3, 1.1], [0.05, 0.39, 0.8]])
+    spline = CubicHermiteSpline(times, states[:, :3], states[:, 3:])
+    wanted = np.concatenate([spline(moments), spline(moments, 1)], axis=-1)
+    assert np.allclose(between(times, states, 3, moments), wanted, rtol=1e-12, atol=1e-13)
+    assert np.allclose(between(times, states, 6, moments), CubicSpline(times, states)(moments), rtol=1e-12)
+    assert between(times, states, 3, 0.35).shape == (6,)

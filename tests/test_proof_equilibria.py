@@ -166,6 +166,44 @@ def test_what_is_false_is_not_proved(flutter):
     assert "no box into itself" in reason or "could be 0" in reason
 
 
+def rotor(cubic, more=()):
+    """x' = p x - y + cubic x |x|^2, y' alike: a Hopf point at 0, z' = i z + 2 cubic z |z|^2 along q of length 1, so
+    that l1 = 2 cubic; `more` oscillators beside it."""
+
+    def field(t, x, p):
+        grown = cubic * (x[0] ** 2 + x[1] ** 2)
+        own = [p[0] * x[0] - x[1] + grown * x[0], x[0] + p[0] * x[1] + grown * x[1]]
+        return own + [rate for k, w in enumerate(more) for rate in (w * x[3 + 2 * k], -w * x[2 + 2 * k])]
+
+    return of.ode(field, [f"x{k}" for k in range(2 + 2 * len(more))], parameters={"p": 0.25})
+
+
+@pytest.mark.parametrize(("cubic", "more", "said"), [
+    (-1.0, (), ""), (0.0, (), "first Lyapunov coefficient could be 0"), (-1.0, (2.5,), "another eigenvalue"),
+])  # fmt: skip
+def test_what_hopfs_theorem_asks_for_besides(flutter, cubic, more, said):
+    """A coefficient that is not 0, and no other pair on the axis."""
+    event = replace(flutter[1].events[0], state=np.zeros(2 + 2 * len(more)), parameter=0.0, frequency=1.0)
+    part = prove_equilibria(replace(flutter[1], parameter="p", points=(), events=(event,)), rotor(cubic, more)).parts[0]
+    assert part.proved is not bool(said) and said in part.reason
+    if not said:
+        with precision(200):
+            ball = part.known["lyapunov"]
+            assert arb(ball["value"], ball["radius"]).contains(2 * cubic)
+
+
+def test_rest_that_no_energy_holds_is_open(flutter):
+    """Two oscillators, one of negative energy: eigenvalues on the axis, no definite energy."""
+    for sign, verdict in ((1, "stable"), (-1, "open")):
+        model = of.hamiltonian(
+            lambda x, p, sign=sign: (x.a**2 + x.pa**2) / 2 + sign * p.w * (x.b**2 + x.pb**2) / 2,
+            ("a", "b"), ("pa", "pb"), parameters={"w": 1.7},
+        )  # fmt: skip
+        point = replace(flutter[1].points[0], state=np.zeros(4), value=1.7)
+        part = prove_equilibria(replace(flutter[1], parameter="w", points=(point,), events=()), model).parts[0]
+        assert part.proved and part.stability == verdict
+
+
 def test_other_equations_and_doctored_records_are_rejected(flutter):
     """One constant by 1e-3; every field of the record."""
     model, _, proof = flutter

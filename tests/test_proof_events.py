@@ -19,8 +19,8 @@ pytest.importorskip("flint")
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.proof.balls import arb, precision
-from orbitfinder.proof.bordered import events, false_claims, prove_event, read_event, replayed_event
+from orbitfinder.proof.balls import arb, arb_mat, precision
+from orbitfinder.proof.bordered import events, false_claims, invertible, prove_event, read_event, replayed_event
 from orbitfinder.proof.program import derived
 from orbitfinder.proof.series import BALLS
 
@@ -162,6 +162,17 @@ def test_commands_prove_and_replay_an_event(tmp_path):
     for number, message in (("0", "0 is a resonance"), ("999", "counted from 0, got 999"), ("16", "no orbit near")):
         refused = run(cli, ["prove", str(file), "--event", number, "--no-record"])
         assert refused.exit_code in (1, 2) and message in refused.output + str(refused.exception), refused.output
+
+
+def test_a_family_must_go_on_at_what_is_no_fold(monkeypatch):
+    """The orbits' own equations are shown to be regular at a doubling, which a singular matrix of balls is not."""
+    assert not invertible(arb_mat([[1, arb(1, 0.1)], [1, 1]])) and invertible(arb_mat([[2, arb(1, 0.1)], [1, 1]]))
+    monkeypatch.setattr("orbitfinder.proof.bordered.invertible", lambda slopes: False)
+    again = replayed_event(read_event(EVENTS / "pendulum-0.json"))
+    assert not again.proved and "could not be shown to go on" in again.reason
+    monkeypatch.setattr("orbitfinder.proof.bordered.has_symmetry", lambda *_: False)
+    again = replayed_event(read_event(EVENTS / "henon-heiles-straight-14.json"))
+    assert not again.proved and "could not be shown to keep the energy" in again.reason
 
 
 def test_slopes_of_numbers_are_exact():
