@@ -10,7 +10,7 @@ and given again.
 
     python benchmarks/prove_atlas.py results/atlas/triple.sqlite --count 50 --jobs 2
     python benchmarks/prove_atlas.py --events
-    python benchmarks/prove_atlas.py --others      gaits and equilibria
+    python benchmarks/prove_atlas.py --others      gaits, equilibria, connections
 """
 
 from __future__ import annotations
@@ -36,12 +36,15 @@ from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem, load_problem_file
 from orbitfinder.proof.bordered import events, prove_event, read_event
 from orbitfinder.proof.branch import read_branch
+from orbitfinder.proof.connections import CODEC as PROVED_CONNECTION
+from orbitfinder.proof.connections import prove_connection, read_connection_proof
 from orbitfinder.proof.equilibria import CODEC, prove_equilibria
 from orbitfinder.proof.record import entry
 from orbitfinder.proof.theorem import prove
 from orbitfinder.records.family import Family, load_family
 from orbitfinder.records.orbit import orbit_from_document, orbit_to_document
 from orbitfinder.records.reading import write_atomically
+from orbitfinder.structures.connections import connect
 
 RATIONAL = {"length": 1.0, "mass": 1.0, "gravity": 2.25, "damping": 0.75, "frequency": 1.0}
 """J. R. Taylor's pendulum with 2 pi t as time, without an irrational number; the torque is 9/4 of his gamma"""
@@ -62,6 +65,11 @@ AT_REST = {
     "predator-prey": ("q", 1.0), "wing-flutter": ("U", 20.0),
 }  # fmt: skip
 """Of `problems/equations`: the parameter, and until where equilibria are followed"""
+CONNECTED = {
+    "oterma-l1": ("oterma-l1", None, (-0.616, 0.0)), "oterma-l2": ("oterma-l2", None, (1.13, -0.1)),
+    "oterma-l1-l2": ("oterma-l1", "oterma-l2", (0.9673, 0.0037)),
+}  # fmt: skip
+"""Orbits of `problems/gallery` that a motion leaves and comes to, and near what x, xdot it falls through y = 0"""
 
 
 def event_families() -> Iterator[tuple[Family, tuple[int, ...]]]:
@@ -152,6 +160,39 @@ def other_tables(folder: Path) -> list[str]:
     return lines
 
 
+def prove_connections(folder: Path) -> dict[str, str]:
+    """Records of connections, and the reasons of those that could not be proved."""
+    failures = {}
+    for name, (origin, goal, near) in CONNECTED.items():
+        ends = [find_orbit(load_problem(Path("problems/gallery") / f"{end}.toml")) for end in (origin, goal) if end]
+        (motion, *_) = connect(*ends, plane="y=0", axes=("x", "xdot"), direction=-1, near=near, most=1)
+        proof = prove_connection(motion)
+        print(f"{name}: {proof.words[0][1] if proof.proved else proof.reason}", file=sys.stderr, flush=True)
+        if proof.proved:
+            PROVED_CONNECTION.save(proof, folder / f"{name}.json")
+        else:
+            failures[name] = proof.reason
+    return failures
+
+
+def connection_table(folder: Path) -> list[str]:
+    """Rows of the connections' records."""
+    lines = [
+        "", "Connections, transversal crossings of manifolds (`connections`):", "",
+        "| record | | crossing | multipliers | radius | contraction | wall time (s) |", "|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for file in sorted((folder / "connections").glob("*.json")):
+        proof = read_connection_proof(file)
+        said = dict(proof.words)
+        at = ", ".join(f"{name} = {said[name]}" for name in proof.state_names if name in said)
+        growth = ", ".join(said[name].partition("multiplier ")[2] for name in ("orbit", "from", "to") if name in said)
+        lines.append(
+            f"| {file.stem} | {proof.kind} | {at} | {growth} | {proof.radius:.0e} | {proof.contraction:.1e} "
+            f"| {proof.wall_time} |"
+        )
+    return lines
+
+
 def cost(document: dict[str, Any]) -> float:
     """A guess of how long a proof takes: the horizon, longer for unstable orbits."""
     largest = max((math.hypot(*mu) for mu in document["floquet_multipliers"]), default=1.0)
@@ -227,7 +268,7 @@ def summary(folder: Path, failures: dict[str, str]) -> str:
             f"| {file.stem} | {said['event']} | {said['period']} | {event.radius:.0e} | {event.contraction:.1e} "
             f"| {event.wall_time} |"
         )
-    lines += other_tables(folder)
+    lines += other_tables(folder) + connection_table(folder)
     for name, reason in failures.items():
         lines += ["", f"Not proved: {name}: {reason}"]
     return "\n".join(lines) + "\n"
@@ -238,7 +279,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("atlas", type=Path, nargs="?")
     parser.add_argument("--events", action="store_true", help="prove events of families and no orbits")
-    parser.add_argument("--others", action="store_true", help="prove gaits and equilibria and no orbits of an atlas")
+    parser.add_argument("--others", action="store_true", help="prove gaits, equilibria and connections")
     parser.add_argument("--count", type=int, default=50, help="records wanted in all")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("results/proofs"))
@@ -249,6 +290,7 @@ def main() -> int:
         failures = prove_events(options.out / "events")
     elif options.others:
         failures = prove_gaits(options.out / "gaits") | prove_rest(options.out / "equilibria")
+        failures |= prove_connections(options.out / "connections")
     elif options.atlas is not None:
         todo = tasks(options.atlas, options.out, options.count)
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:

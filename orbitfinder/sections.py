@@ -2,6 +2,7 @@
 certificates and pictures."""
 
 from orbitfinder._runtime.front import fronted
+from orbitfinder.proof.connections import ConnectionRecord, prove_connection
 from orbitfinder.show.bifurcation import draw_bifurcation
 from orbitfinder.show.frequencies import draw_frequencies
 from orbitfinder.show.sections import draw_manifolds, draw_section
@@ -19,11 +20,9 @@ from orbitfinder.structures.manifolds import ManifoldSettings
 from orbitfinder.structures.section import Section, load_section, save_section
 
 __all__ = [
-    "Bifurcation", "Connection", "Manifold", "ManifoldSettings", "Section", "certify_connection", "draw_bifurcation",
-    "draw_frequencies",
-    "draw_manifolds", "draw_section",
-    "follow_connection", "load_bifurcation", "load_connection", "load_manifold", "load_section", "save_bifurcation",
-    "save_connection", "save_manifold",
-    "save_section",
+    "Bifurcation", "Connection", "ConnectionRecord", "Manifold", "ManifoldSettings", "Section", "certify_connection",
+    "draw_bifurcation", "draw_frequencies", "draw_manifolds", "draw_section", "follow_connection", "load_bifurcation",
+    "load_connection", "load_manifold", "load_section", "prove_connection", "save_bifurcation", "save_connection",
+    "save_manifold", "save_section",
 ]  # fmt: skip
 globals().update({name: fronted(globals()[name], __name__) for name in __all__})

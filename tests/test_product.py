@@ -47,6 +47,7 @@ SHIPPED = {
     "proof": RESULTS / "proofs" / "triple-7.json",
     "branch-proof": RESULTS / "proofs" / "triple-mode-1" / "branch-proof.json",
     "event-proof": RESULTS / "proofs" / "events" / "duffing-2.json",
+    "connection-proof": RESULTS / "proofs" / "connections" / "oterma-l2.json",
     "family": RESULTS / "families" / "henon-heiles-loop" / "family.json",
     "family#": Path(f"{RESULTS / 'families' / 'henon-heiles-loop' / 'family.json'}#3"),
     "atlas": RESULTS / "atlas" / "impact-oscillator.sqlite",
@@ -56,7 +57,7 @@ MADE = ("export", "export#", "empty export", "optima", "optima#", "tori", "tori#
         "controller", "equilibria", "equilibria#", "diagram", "map", "bifurcation", "journal", "text")  # fmt: skip
 RESTING = {"equilibria", "equilibria#"}
 KINDS = (*SHIPPED, *MADE)
-PROOFS = {"branch-proof", "event-proof"}
+PROOFS = {"branch-proof", "event-proof", "connection-proof"}
 ORBITS = {*SHIPPED, "export#", "optima#"} - PROOFS - {"family", "atlas"}
 TAKEN = {
     "verify": ORBITS | {"family", "optima", "tori", "tori#", "connection", "controller", "diagram", "map",
@@ -124,7 +125,7 @@ CUT = "cut where its own work begins"
 DEAR = ("families.folder.follow_family", "families.branches.switch_branch", "structures.manifolds.manifold",
         "structures.connections.connect", "structures.tori.follow_tori", "control.optima.follow_optima",
         "structures.sections.section", "control.feedback.stabilise", "atlas.search.search", "orbits.sweep.sweep",
-        "proof.theorem.prove", "proof.theorem.refine")  # fmt: skip
+        "proof.theorem.prove", "proof.theorem.refine", "proof.connections.prove_connection")  # fmt: skip
 COMMANDS = {
     "show": "show FILE", "verify": "verify FILE", "plot": "plot FILE -o OUT",
     "animate": "animate FILE -o OUT --size 64 --fps 1",
@@ -226,6 +227,7 @@ def test_every_reader_takes_its_own_files_and_refuses_the_others(records):
     files = {
         "branch-proof",
         "event-proof",
+        "connection-proof",
         "atlas",
         "export",
         "empty export",

@@ -35,7 +35,9 @@ from orbitfinder.records.codec import entries_of
 from orbitfinder.records.registry import answer, held, kind_of, load, load_orbit, member
 
 if TYPE_CHECKING:
+    from orbitfinder.proof.bordered import BorderedRecord
     from orbitfinder.proof.branch import ProvedBranch
+    from orbitfinder.proof.connections import ConnectionRecord
     from orbitfinder.proof.equilibria import ProvedEquilibria
     from orbitfinder.proof.theorem import Options, Proof, RefinedOrbit
     from orbitfinder.records.family import Family
@@ -65,7 +67,8 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
       orbitfinder verify --proof equilibria/wing-flutter/equilibria-proof.json
     """
     results = []
-    replays = {"branch-proof": verify_branch, "event-proof": verify_event, "equilibria-proof": verify_rest}
+    replays = {"branch-proof": verify_branch, "event-proof": verify_event, "equilibria-proof": verify_rest,
+               "connection-proof": verify_connection}  # fmt: skip
     for file in (part for given in files for part in _each(given)):
         if proof and (replay := replays.get(held(file)[0])):
             results.append({"file": str(file)} | replay(file, trust))
@@ -172,7 +175,8 @@ def prove(
     multipliers, and is recorded in the file. Exit code 0: all proved; 1: some not, with the reason.
     FILE#K is orbit K of an atlas, or point K of a family.json, counted from 0, whose proof is not recorded; an atlas
     stands for all of its orbits that have no proof yet. Of an equilibria.json all points, folds and Hopf points are
-    proved, into an equilibria-proof.json beside it.
+    proved, into an equilibria-proof.json beside it; of a connection.json that both manifolds meet, into a
+    connection-proof.json.
 
     \b
     Examples:
@@ -181,6 +185,7 @@ def prove(
       orbitfinder prove families/triple-mode-2/family.json --from -37.516219 --to -37.516209
       orbitfinder prove equilibria/wing-flutter/equilibria.json
       orbitfinder prove families/triple-1/family.json --event 9
+      orbitfinder prove connections/oterma-l2/connection-1.json
     """
     resting = [file for file in files if file.is_file() and kind_of(file) == "equilibria"]
     if resting:
@@ -188,6 +193,10 @@ def prove(
         return
     if low is not None or high is not None:
         _prove_branch(files, low, high, record, trust, given)
+        return
+    joined = [file for file in files if file.is_file() and kind_of(file) == "connection"]
+    if joined:
+        _prove_connections(files, joined, record, trust, given | {"event": number, "shard": shard})
         return
     from orbitfinder.atlas.shard import WHOLE, shard_from
     from orbitfinder.proof.record import checked
@@ -236,7 +245,7 @@ def _proofs(
                 Atlas(member(file)[0], write=True, model=provable_model(orbits[-1], trusted(file, trust))).close()
     if workers == 1 and scheduler is None:
         for file, orbit in zip(files, orbits, strict=True):
-            say = partial(lambda name, line: note(f"{name}: {line}"), orbit.name)
+            say = partial(_say, orbit.name)
             proof = prove(orbit, provable_model(orbit, trusted(file, trust)), options, say)
             yield file, orbit, proof, entry(proof)
         return
@@ -291,7 +300,7 @@ def _prove_branch(
     if record:
         check_writable(file.parent, "--record")
     model = provable_model(family.points[0], trusted(file, trust))
-    say = lambda line: note(f"{family.name}: {line}")  # noqa: E731
+    say = partial(_say, family.name)
     branch = prove_branch(family, low, high, model, say, given.get("symmetry"))
     interrupt.check()
     if branch.proved and record:
@@ -325,6 +334,60 @@ def _prove_rest(files: tuple[Path, ...], resting: list[Path], record: bool, trus
         results.append({"file": str(file), "proved": proof.proved} | entries_of(proof))
     passed = all(result["proved"] for result in results)
     finish("proof", {"passed": passed, "results": results}, passed)
+
+
+def _prove_connections(
+    files: tuple[Path, ...], joined: list[Path], record: bool, trust: bool, given: dict[str, Any]
+) -> None:
+    """`prove CONNECTION.json ...`."""
+    from orbitfinder.proof.connections import CODEC, prove_connection
+    from orbitfinder.proof.record import checked
+    from orbitfinder.proof.theorem import Options, provable_system
+
+    if unused := [name for name in ("symmetry", "segments", "event", "shard") if given.pop(name, None) is not None]:
+        raise InputError(f"--{unused[0]}: is for orbits and families; leave it out")
+    if len(joined) < len(files):
+        raise InputError("FILE: connections and others together; prove them by a command each")
+    options, results = checked(Options(**{k: v for k, v in given.items() if v is not None})), []
+    for file in joined:
+        connection = load(file)
+        if record:
+            check_writable(file.parent, "--record")
+        model, say = provable_system(connection.system, trusted(file, trust)), partial(_say, connection.name)
+        proof = prove_connection(connection, model, options, say)
+        interrupt.check()
+        if proof.proved and record:
+            CODEC.save(proof, file.with_name(f"{file.stem}-proof.json"))
+        _print_words(f"{file} ({proof.name})", proof)
+        results.append({"file": str(file)} | CODEC.document(proof))
+    passed = all(result["proved"] for result in results)
+    finish("proof", {"passed": passed, "results": results}, passed)
+
+
+def _say(name: str, line: str) -> None:
+    note(f"{name}: {line}")
+
+
+def _print_words(heading: str, proof: BorderedRecord | ConnectionRecord) -> None:
+    """What a record says line by line, or why nothing is proved."""
+    if not proof.proved:
+        text(f"{heading}: not proved: {proof.reason}")
+        return
+    text(f"{heading}: proved in {proof.wall_time:.1f} s")
+    for name, said in proof.words:
+        text(f"  {name:<12}{said}")
+
+
+def verify_connection(file: Path, trust: bool = False) -> dict[str, Any]:
+    """Replay a recorded proof of a connection: `passed`, and `message`, a sentence."""
+    from orbitfinder.proof.connections import read_connection_proof, replayed_connection, unproved_claims
+    from orbitfinder.proof.theorem import provable_system
+
+    recorded = read_connection_proof(file)
+    again = replayed_connection(recorded, provable_system(recorded.system, trusted(file, trust)), note)
+    if wrong := unproved_claims(recorded, again):
+        return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
+    return {"passed": True, "message": f"proof replayed in {again.wall_time:.1f} s: proved, {again.kind}"}
 
 
 def _print_rest(heading: str, proof: ProvedEquilibria) -> None:
@@ -415,17 +478,11 @@ def _prove_event(files: tuple[Path, ...], number: int, options: Options, record:
     if record:
         check_writable(file.parent, "--record")
     model = provable_model(family.points[0], trusted(file, trust))
-    event = prove_event(family, number, model, options, lambda line: note(f"{family.name}: {line}"))
+    event = prove_event(family, number, model, options, partial(_say, family.name))
     interrupt.check()
     if event.proved and record:
         events.save(event, file.parent / f"event-{number}-proof.json")
-    heading = f"{file} ({family.name}): event {number}"
-    if event.proved:
-        text(f"{heading}: proved in {event.wall_time:.1f} s")
-        for name, said in event.words:
-            text(f"  {name:<12}{said}")
-    else:
-        text(f"{heading}: not proved: {event.reason}")
+    _print_words(f"{file} ({family.name}): event {number}", event)
     finish("proof", events.document(event), event.proved)
 
 

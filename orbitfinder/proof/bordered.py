@@ -12,11 +12,9 @@ M. G. Crandall, P. H. Rabinowitz, J. Funct. Anal. 8 (1971) 321-340.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from decimal import Decimal
 from operator import eq
 from pathlib import Path
 from typing import Any
@@ -57,7 +55,7 @@ from orbitfinder.proof.krawczyk import (
     solve,
 )
 from orbitfinder.proof.program import Ring, bound, graphs
-from orbitfinder.proof.record import DIGITS, MARGIN, checked, close, enclosure, holds
+from orbitfinder.proof.record import DIGITS, MARGIN, checked, close, enclosure, holds, in_digits
 from orbitfinder.proof.series import recurrence
 from orbitfinder.proof.theorem import (
     CENTRE,
@@ -283,7 +281,7 @@ class BorderedRecord(Versioned):
     @property
     def words(self) -> list[tuple[str, str]]:
         """What is proved, line by line."""
-        at, period = (_digits(ball) for ball in (self.value, self.period))
+        at, period = (in_digits(ball) for ball in (self.value, self.period))
         follows = {
             "fold": f"two orbits near this at each {self.side} value and none at values on the other side",
             "period_doubling": "the family goes on at both sides, and orbits of twice the period branch off",
@@ -301,12 +299,6 @@ class BorderedRecord(Versioned):
     def settings(self) -> TaylorSettings:
         """The integrator's."""
         return TaylorSettings(self.order, self.bits, self.tolerance)
-
-
-def _digits(ball: Mapping[str, Any]) -> str:
-    """A ball with the digits that it is good for."""
-    places = max(0, 1 - math.floor(math.log10(ball["radius"])))
-    return f"{Decimal(ball['value']):.{places}f} +/- {ball['radius']:.1g}"
 
 
 events = Codec(BorderedRecord, "event-proof", "`orbitfinder prove --event`", "prove the event again")

@@ -38,6 +38,12 @@ def enclosure(ball: Any, digits: int = DIGITS, margin: float = 1.0) -> dict[str,
     return {"value": text, "radius": margin * math.nextafter(float(apart), math.inf)}
 
 
+def in_digits(ball: Mapping[str, Any]) -> str:
+    """A recorded ball with the digits that it is good for."""
+    places = min(max(0, 1 - math.floor(math.log10(ball["radius"]))), DIGITS)
+    return f"{Decimal(ball['value']):.{places}f} +/- {ball['radius']:.1g}"
+
+
 def entry(proof: Proof, margin: float = MARGIN, digits: int = DIGITS) -> dict[str, Any]:
     """The JSON form of a proof."""
     with precision(max(proof.settings.bits, 4 * digits)):

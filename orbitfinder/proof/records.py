@@ -12,3 +12,6 @@ KINDS["equilibria-proof"] = Kind(
 KINDS["event-proof"] = Kind(
     "a proof of an event of a family (`verify --proof` replays it)", "proof.bordered:read_event",
 )  # fmt: skip
+KINDS["connection-proof"] = Kind(
+    "a proof of a connection (`verify --proof` replays it)", "proof.connections:read_connection_proof",
+)  # fmt: skip
