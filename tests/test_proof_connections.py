@@ -186,6 +186,7 @@ REPLAY = """
 import sys
 import casadi as ca, numpy as np
 from orbitfinder.integrate import dop853
+from orbitfinder.proof import connections
 from orbitfinder.proof.connections import read_connection_proof, replayed_connection, unproved_claims
 called = ca.Function.__call__
 def refuse(*given, **named):
