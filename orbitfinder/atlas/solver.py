@@ -599,7 +599,12 @@ def crossed(scaled: ScaledLoop, first: ValleyPoint, second: ValleyPoint, length:
         if abs(there.mu) < scaled.settings.round_off or abs(high - low) < NARROWEST:
             break
         share = high - above * (high - low) / (above - below)
-        there = yield from corrected(scaled, first, share)
+        try:
+            there = yield from corrected(scaled, first, share)
+        except Stalled:  # by round-off of the regular equations: so near, the polish knows what is left
+            if abs(there.mu) > scaled.settings.converged:
+                raise
+            break
         if there.mu * above < 0:
             low, below = high, above
         else:
