@@ -275,6 +275,22 @@ def test_the_valley_is_followed_to_a_zero(elastic, monkeypatch):
     assert stalled.value.w.nodes.shape == path.nodes.shape
 
 
+def test_what_round_off_hides_in_the_valley_is_polished(one):
+    """The regular equations of this start come to 4e-13 and no lower, where what is left of the residual is 1e-8."""
+    found = perform(one, 0, [Job(130)], [])[0].orbit
+    assert found.certificate.passed and found.period == pytest.approx(4.30663156806, rel=1e-12)
+
+
+def test_as_many_side_by_side_as_time_is_left_for(triple, one, task, tmp_path):
+    with Atlas(tmp_path / "a.sqlite", write=True, model=triple) as atlas:
+        run = Search(atlas, task, one, Limits(budget=60.0))
+        first = run._size
+        run._latest.extend([0.1] * 4)
+        early = run._size
+        run.statistics.began -= 58.0
+    assert (first, early) == (search.FIRST, 49) and 15 <= run._size <= 20
+
+
 def test_two_searches_share_an_atlas(triple, undisturbed, tmp_path):
     """Another seed is another search: its starts are its own, its orbits join the others without doubles."""
     path = tmp_path / "shared.sqlite"

@@ -120,6 +120,23 @@ def test_every_operation_is_casadis(tmp_path):
         np.testing.assert_array_equal(got, function(*inputs[:, None]).full().T)
 
 
+def test_by_what_several_are_divided_it_is_divided_once(tmp_path):
+    """A quotient that stands alone is CasADi's to the last bit, the others are good to 1.5 ulp."""
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    z = x + y  # whose place something else may take between two quotients
+    function = ca.Function("shares", [x, y], [ca.vertcat(x / z, y / z, y / x)])
+    body = emitted(function, "shares", True).replace("static __attribute__((noinline)) void", "void")
+    assert body.count("/ w") == 2 and exported(function, "shares").count("/ w") == 3
+    inputs = np.random.default_rng(4).uniform(0.1, 9.0, (2, LANES))
+    got = called(built(f"#define LANES {LANES}\n{LIBM}" + body, tmp_path), "shares", inputs, 3)
+    known = function(*inputs[:, None]).full().T
+    np.testing.assert_array_equal(got[:, 2], known[:, 2])
+    assert np.any(got != known) and np.all(np.abs(got - known) <= np.spacing(known))
+    fields = [vector_field(of.chain(3)), variational_field(scalars(vector_field(of.chain(3))))]
+    plain, quick = ([field_code(field, inverses).count("/ w") for field in fields] for inverses in (False, True))
+    assert min(plain) > 12 and quick == [3, 3]
+
+
 def test_what_lanes_have_is_what_casadi_has():
     """Every scalar operation of this CasADi is emitted or refused by name."""
     scalar = set(range(ca.OP_ASSIGN, ca.OP_ATAN2 + 1)) | {ca.OP_LOG1P, ca.OP_EXPM1, ca.OP_HYPOT, ca.OP_REMAINDER}

@@ -34,9 +34,9 @@ from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 
-TOGETHER, FIRST, TURN = 256, 16, 2.0
+TOGETHER, FIRST, TURN = 256, 16, 5.0
 """Starts that are made side by side at most, and before it is known how long they take; seconds of processor time that
-those should take at most, so that a search ends when it is asked to."""
+those should take at most, and never more than are left, so that a search ends when it is asked to."""
 AHEAD = 256
 """Starts for each place among the workers that may be under way or unjudged: bounds the memory."""
 MOST_SOURCES = 80
@@ -211,8 +211,9 @@ class Search:
     @property
     def _size(self) -> int:
         """How many starts are made side by side, by the time that the latest have taken."""
-        latest = self._latest
-        return int(np.clip(TURN * len(latest) / (sum(latest) + 1e-3), 1, TOGETHER)) if latest else FIRST
+        latest, budget = self._latest, self._limits.budget
+        turn = TURN if budget is None else min(TURN, budget - self.statistics.elapsed)
+        return int(np.clip(turn * len(latest) / (sum(latest) + 1e-3), 1, TOGETHER)) if latest else FIRST
 
     def _submit(self, workers: Workers, jobs: Sequence[Job]) -> None:
         workers.submit(jobs)

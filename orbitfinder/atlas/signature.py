@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -185,8 +186,7 @@ def _gaps(first: Signature, second: Signature) -> Iterator[float]:
             image = np.roll(second.loop, ARC_SAMPLES * k, axis=0)
             yield float(np.abs(wrapped(image - first.loop, first.angles) / scale).max())
     else:
-        for image in images(second.loop, n):
-            yield from _aligned(first, image, scale)
+        yield from _aligned(first, list(images(second.loop, n)), scale)
 
 
 def images(loop: np.ndarray, n: int) -> Iterator[np.ndarray]:
@@ -219,18 +219,19 @@ def _extents(loop: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
     return np.concatenate([np.where(turning, np.minimum(sizes[:n], np.pi), sizes[:n]), sizes[n:]])
 
 
-def _aligned(first: Signature, image: np.ndarray, scale: np.ndarray) -> Iterator[float]:
-    """The gaps of one image at the phases where it passes the first state of the other loop.
+def _aligned(first: Signature, loops: Sequence[np.ndarray], scale: np.ndarray) -> Iterator[float]:
+    """The gaps of images at the phases where they pass the first state of the other loop, the nearest pass first.
 
-    The phase is found among the samples, then between them by Gauss-Newton steps on the gap to that
+    The phase is looked for among the samples, then between them by Gauss-Newton steps on the gap to that
     state, and the shifted image is compared with the whole loop.
     """
-    count, n = image.shape[0], len(first.angles)
-    gaps = np.abs(wrapped(image - first.loop[0], first.angles) / scale).max(axis=1)
-    path = _path(image, first.period, n, first.angles)
-    grid = np.arange(count) * first.period / count
-    for k in np.argsort(gaps)[:3]:
-        moved = path(grid + _phase(first, path, float(grid[k]), scale))
+    count, n = len(first.loop), len(first.angles)
+    gaps = np.abs(wrapped(np.array(loops) - first.loop[0], first.angles) / scale).max(axis=2)
+    nearest, grid = np.argsort(gaps, axis=1)[:, :3], np.arange(count) * first.period / count
+    paths = [lru_cache(maxsize=1)(partial(_path, image, first.period, n, first.angles)) for image in loops]
+    for which, rank in np.argwhere(nearest >= 0)[np.argsort(np.take_along_axis(gaps, nearest, axis=1), axis=None)]:
+        path = paths[which]()
+        moved = path(grid + _phase(first, path, float(grid[nearest[which, rank]]), scale))
         yield float(np.abs(wrapped(moved - first.loop, first.angles) / scale).max())
 
 

@@ -132,6 +132,8 @@ class ScaledLoop:
     periods: tuple[float, float]
     units: tuple[float, ...] = ()
     settings: ClosingSettings = ClosingSettings()
+    rough: float = 0.0
+    """the longest step (s) of marches of variations in the valley"""
 
     def at(self, w: Unknowns) -> Unknowns:
         """w on the mesh that the step asks for."""
@@ -499,15 +501,26 @@ class ValleyPoint:
 def orbit_in_valley(scaled: ScaledLoop, w: Unknowns) -> Course[tuple[Unknowns, np.ndarray]]:
     """The unknowns of an orbit in the valley that w lies in, and the Jacobian there; `Stalled` when there is none."""
     try:
-        fine = replace(scaled, step=(yield from fine_step(scaled, w)))
-        residual, jacobian = yield Differentiated(fine, fine.at(w))
+        fine = replace(scaled, step=(yield from fine_step(scaled, w)), rough=scaled.step / scaled.settings.finer)
+        residual, jacobian = yield from linearised(fine, w)
         at = turned(ValleyPoint(w, residual, jacobian, np.zeros(0), np.zeros(0)))
         here = yield from corrected(fine, at, 0.0)
         if abs(here.mu) > scaled.settings.round_off:
             here = yield from crossed(fine, *(yield from bracket(fine, turned(here))))
+        _, jacobian = yield Differentiated(fine, fine.at(here.w))
     except (IntegrationError, np.linalg.LinAlgError) as error:
         raise Stalled(w) from error
-    return here.w, here.jacobian
+    return here.w, jacobian
+
+
+def linearised(scaled: ScaledLoop, w: Unknowns) -> Course[tuple[np.ndarray, np.ndarray]]:
+    """The scaled residual at w, and its Jacobian by rough steps: bordered, it is regular, and Newton's steps end where
+    the residual does."""
+    w = scaled.at(w)
+    rows = scaled.loop.rows(w, (yield Marched(scaled.loop.equations, w))) / scaled.measures.rows
+    roughly = replace(scaled, step=max(scaled.step, scaled.rough))
+    _, jacobian = yield Differentiated(roughly, roughly.at(w))
+    return rows, jacobian
 
 
 def fine_step(scaled: ScaledLoop, w: Unknowns) -> Course[float]:
@@ -546,7 +559,7 @@ def corrected(scaled: ScaledLoop, at: ValleyPoint, length: float) -> Course[Vall
     course = stepping(onward(at.w, length * at.right), how.regular, onward)
     w = next(course)
     while True:
-        residual, jacobian = yield Differentiated(scaled, scaled.at(w))
+        residual, jacobian = yield from linearised(scaled, w)
         points[id(w)] = ValleyPoint(w, residual, jacobian, at.left, at.right)
         try:
             w = course.send(regular(points[id(w)]))
@@ -586,7 +599,12 @@ def crossed(scaled: ScaledLoop, first: ValleyPoint, second: ValleyPoint, length:
         if abs(there.mu) < scaled.settings.round_off or abs(high - low) < NARROWEST:
             break
         share = high - above * (high - low) / (above - below)
-        there = yield from corrected(scaled, first, share)
+        try:
+            there = yield from corrected(scaled, first, share)
+        except Stalled:  # by round-off of the regular equations: so near, the polish knows what is left
+            if abs(there.mu) > scaled.settings.converged:
+                raise
+            break
         if there.mu * above < 0:
             low, below = high, above
         else:

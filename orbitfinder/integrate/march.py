@@ -73,7 +73,7 @@ class March:
         effort: float = EFFORT,
         apart: ca.Function | None = None,
     ) -> None:
-        self._apart = apart
+        self._apart, self._inverses = apart, alone
         self.field, self.forced, self.integrand, self._effort = field, forced, integrand, effort
         self.size, self.unfolding, self.free = (int(field.size1_in(k)) for k in (1, 2, 3))
         self._lanes, self._kernels = Lanes(alone), dict[bool, Kernel | None]()
@@ -129,8 +129,9 @@ class March:
     def _kernel(self, varied: bool, segments: int = 0) -> Kernel | None:
         """What marches in lanes, with variations or without; decided at first use, for good."""
         if varied not in self._kernels:
-            made = (varied_kernel(self.field, self.integrand, self._effort, segments == 1, self._apart) if varied
-                    else kernel(self._carried, self._effort, segments == 1))  # fmt: skip
+            how = self._effort, segments == 1
+            made = (varied_kernel(self.field, self.integrand, *how, self._apart, self._inverses) if varied
+                    else kernel(self._carried, *how, self._inverses))  # fmt: skip
             self._kernels[varied] = made
         return self._kernels[varied]
 

@@ -16,9 +16,10 @@ from scipy.integrate import trapezoid
 from orbitfinder._runtime import __version__
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
+from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.cvodes import Flow, transition
 from orbitfinder.integrate.equations import accelerations, action_rate, invariant_gradients, with_action
-from orbitfinder.integrate.march import March, Marches, rounded, uniform
+from orbitfinder.integrate.march import EFFORT, March, Marches, rounded, uniform
 from orbitfinder.integrate.rk8 import variational_field
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.loop import Unknowns
@@ -322,5 +323,6 @@ def action(model: Model, times: np.ndarray, states: np.ndarray, march: March | N
     if march is None:
         rate = model.along(action_rate(model), times[None], np.asarray(states).T).ravel()
     else:  # the same without CasADi's matrices, which take longer than what is in them
-        rate = march.along(action_rate(model), times[:, None], states, model.parameter_values[None]).ravel()
+        quick = compiled(action_rate(model), effort=EFFORT)
+        rate = march.along(quick, times[:, None], states, model.parameter_values[None]).ravel()
     return float(trapezoid(rate, times))

@@ -5,6 +5,8 @@ The numbers are those of CasADi's own code but for sin and cos, which are good t
 
 from __future__ import annotations
 
+from collections import defaultdict
+
 import casadi as ca
 import numpy as np
 from scipy.integrate import DOP853
@@ -47,10 +49,11 @@ def scalars(function: ca.Function) -> ca.Function:
         raise Unknown(f"{function.name()} is no expression of scalars: {str(error).strip().splitlines()[-1]}") from None
 
 
-def emitted(function: ca.Function, name: str) -> str:
+def emitted(function: ca.Function, name: str, inverses: bool = False) -> str:
     """`static void NAME(const V *a0, ..., V *r0, ...)` of a function of scalars. Raises `Unknown`.
 
-    The first output is written whole, of the others the nonzeros, one after another as CasADi keeps them.
+    The first output is written whole, of the others the nonzeros, one after another as CasADi keeps them. With
+    `inverses` quotients by the same number are products, good to 1.5 ulp, in a sixteenth of the time.
     """
     if function.sz_w() > MOST_NUMBERS:
         raise Unknown(f"{function.name()} holds {function.sz_w()} numbers at once")
@@ -59,8 +62,26 @@ def emitted(function: ca.Function, name: str) -> str:
     lines.append("  V " + ", ".join(f"w{k}" for k in range(max(1, function.sz_w()))) + ";")
     places = function.sparsity_out(0).find()
     lines += [f"  r0[{place}] = all(0.0);" for place in sorted(set(range(function.numel_out(0))) - set(places))]
-    lines += [f"  {_instruction(function, k, places)}" for k in range(function.n_instructions())]
+    own = _inverses(function) if inverses else {}
+    lines += [f"  {own.get(k) or _instruction(function, k, places)}" for k in range(function.n_instructions())]
     return "\n".join([*lines, "}", ""])
+
+
+def _inverses(function: ca.Function) -> dict[int, str]:
+    """The instructions that divide by what others divide by too, as products with its inverse."""
+    written, quotients = dict[int, int](), defaultdict[int, list[int]](list)
+    for k in range(function.n_instructions()):
+        if function.instruction_id(k) == ca.OP_DIV:
+            quotients[written[function.instruction_input(k)[1]]].append(k)
+        if function.instruction_id(k) != ca.OP_OUTPUT:
+            written[function.instruction_output(k)[0]] = k
+    own = dict[int, str]()
+    for divisor, numbers in quotients.items():
+        for k in numbers if len(numbers) > 1 else ():
+            above, below = function.instruction_input(k)
+            first = f"const V i{divisor} = 1.0 / w{below}; " if k == numbers[0] else ""
+            own[k] = f"{first}w{function.instruction_output(k)[0]} = w{above} * i{divisor};"
+    return own
 
 
 def _instruction(function: ca.Function, k: int, places: list[int]) -> str:
@@ -88,15 +109,15 @@ def _number(value: float) -> str:
     return float(value).hex()
 
 
-def field_code(given: ca.Function | SparseSlopes) -> str:
-    """What `march.c` needs of y' = f(t, y, s, free), alone or with df/dx."""
+def field_code(given: ca.Function | SparseSlopes, inverses: bool = False) -> str:
+    """What `march.c` needs of y' = f(t, y, s, free), alone or with df/dx; `inverses` as in `emitted`."""
     field = scalars(given) if isinstance(given, ca.Function) else given.function
     state, unfolding, free = (field.size1_in(k) for k in (1, 2, 3))
     sizes = {"STATE": state, "OWN": state, "UNFOLDING": unfolding, "FREE": free}
     numbers = "const V *s, const V *freed"
     if isinstance(given, ca.Function):
         called = "rates(&t, y, s, freed, k[{}]);"
-        return _heads(sizes) + emitted(field, "rates") + _stages("states", "V", numbers, "OWN", called)
+        return _heads(sizes) + emitted(field, "rates", inverses) + _stages("states", "V", numbers, "OWN", called)
     sizes |= {"OWN": field.numel_out(0), "COLUMNS": state + unfolding + free, "SLOPES": max(1, len(given.columns))}
     sizes["INNER"] = given.inner
     tables = "".join(f"static const int {name}[] = {{{', '.join(map(str, values))}}};\n"
@@ -104,7 +125,7 @@ def field_code(given: ca.Function | SparseSlopes) -> str:
     more = "V (*slope)[SLOPES], V (*forcing)[FORCING]"
     called = "rates(&t, y, s, freed, k[{0}], slope[{0}], forcing[{0}]);"
     return "".join([
-        _heads(sizes), tables, emitted(field, "rates"),
+        _heads(sizes), tables, emitted(field, "rates", inverses),
         _stages("states", "V", f"{numbers}, {more}", "OWN", called),
         _stages("columns", "W", f"{more}, int first", "BLOCK", "product(k[{0}], slope[{0}], forcing[{0}], y, first);"),
     ])  # fmt: skip

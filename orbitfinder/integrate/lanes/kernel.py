@@ -127,18 +127,20 @@ class Kernel:
         return opened
 
 
-def kernel(field: ca.Function, effort: float | None, alone: bool = False) -> Kernel | None:
-    """The kernel of a field f(t, y, s, free), None where there is none; `alone`: a single segment comes first."""
-    return _kept(effort, lambda: (field, field), alone, Same(field))
+def kernel(field: ca.Function, effort: float | None, alone: bool = False, inverses: bool = False) -> Kernel | None:
+    """The kernel of a field f(t, y, s, free), None where there is none; `alone`: a single segment comes first;
+    `inverses` as `emitted` takes them."""
+    return _kept(effort, lambda: (field, field), alone, inverses, Same(field))
 
 
 def varied_kernel(
     field: ca.Function, integrand: ca.Function | None, effort: float | None, alone: bool = False,
-    apart: ca.Function | None = None,
+    apart: ca.Function | None = None, inverses: bool = False,
 ) -> Kernel | None:  # fmt: skip
     """That of a field of x with its variations and an integral, as `rk8.variational_field` makes it; `apart` is the
     field as `factors.sparse_slopes` takes it."""
-    return _kept(effort, lambda: varied_forms(field, integrand, apart), alone, Same(field), Same(integrand))
+    given = Same(field), Same(integrand)
+    return _kept(effort, lambda: varied_forms(field, integrand, apart), alone, inverses, *given)
 
 
 def varied_forms(
@@ -152,20 +154,21 @@ def varied_forms(
     return sparse_slopes(flat, integrand, apart), directional_field(flat, integrand)
 
 
-def march_code(emitted: ca.Function | SparseSlopes) -> str:
+def march_code(emitted: ca.Function | SparseSlopes, inverses: bool = False) -> str:
     """The C of a march of what is emitted."""
     heads = f"#define LEAST {LEAST!r}\n" + "#define ABREAST 2\n" * isinstance(emitted, SparseSlopes)
-    return heads + field_code(emitted).join((source("kernel.c"), source("march.c")))
+    return heads + field_code(emitted, inverses).join((source("kernel.c"), source("march.c")))
 
 
 def _kept(
-    effort: float | None, forms: Callable[[], tuple[ca.Function | SparseSlopes, ca.Function]], alone: bool, *key: Same
-) -> Kernel | None:
+    effort: float | None, forms: Callable[[], tuple[ca.Function | SparseSlopes, ca.Function]], alone: bool,
+    inverses: bool, *key: Same,
+) -> Kernel | None:  # fmt: skip
     """The kernel of what is to be emitted and is known. Whether it is worth compiling does not depend on the cache."""
 
     def made() -> Kernel:
         emitted, known = forms()
-        code = march_code(emitted)
+        code = march_code(emitted, inverses)
         worth_it(len(code), effort)
         wide = isinstance(emitted, SparseSlopes) and known.size1_in(1) >= WIDE
         return Kernel(code, known, alone or wide, wide)
@@ -173,7 +176,7 @@ def _kept(
     if mode() == "off":
         return None
     surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
-    return _kernels((*key, mode(), effort, *surroundings), lambda: attempted(key[0].thing.name(), made))
+    return _kernels((*key, inverses, mode(), effort, *surroundings), lambda: attempted(key[0].thing.name(), made))
 
 
 @lru_cache(maxsize=8)
