@@ -240,6 +240,18 @@ def test_key_depends_on_everything(monkeypatch, fresh):
 # ---- when something is wrong -----------------------------------------------------------------------
 
 
+def test_a_compiler_that_has_begun_is_waited_for(monkeypatch, fresh):
+    """A library that was begun is made by that compiler and compared as any other; what nobody asks for goes."""
+    for factor in (2.0, 3.0):
+        rooms.begin(lambda factor=factor: rooms.casadi_code(example(factor)), None)
+    assert len(list(fresh.glob("making-*"))) == 2
+    monkeypatch.setattr(rooms, "_compiling", None)  # no other compiler is started
+    before = statistics().made
+    assert compiled(example()).class_name() == "External" and statistics().made == before + 1
+    rooms._abandoned()
+    assert len(list(fresh.glob("*.so"))) == 1 and not list(fresh.glob("making-*"))
+
+
 def test_missing_compiler(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler-here")
     assert "not on the path" in stays_interpreted(example())

@@ -10,7 +10,7 @@ from conftest import inside
 
 import orbitfinder as of
 from orbitfinder.families.start import begin
-from orbitfinder.loops.condensed import Linearised, eliminated
+from orbitfinder.loops.condensed import SMALL, Factors, Linearised, eliminated
 from orbitfinder.loops.scales import HARMONIC, Scales, sizes
 from orbitfinder.mechanics.kind import with_parameters
 
@@ -274,6 +274,20 @@ def test_rows_over_all_nodes_condense_as_they_stand():
     )  # fmt: skip
     rows = random.normal(size=(count - 1) * size + closing)
     assert eliminated(system)(rows) == pytest.approx(-np.linalg.solve(system.matrix(), rows), rel=1e-9)
+
+
+@pytest.mark.parametrize("growth", [1.0, 1e3])
+def test_many_rows_are_factorised_along_the_nodes(growth):
+    """Large nodes that follow from the first, unless segments grow too much for that, solve as they all do."""
+    random = np.random.default_rng(33)
+    count, size, extra = 5, 40, 2
+    transitions = growth * random.normal(size=(count, size, size)) / np.sqrt(size)
+    parts = (random.normal(size=shape) for shape in ((size + extra, count * size), (size + extra, size)))
+    columns, tail = random.normal(size=(count, size, extra)), random.normal(size=(size + extra, extra))
+    matrix = Linearised(transitions, columns, *parts, tail).matrix()
+    right, factors = random.normal(size=len(matrix)), Factors(matrix, (count, size))
+    assert len(matrix) > SMALL and bool(len(factors.links)) is (growth == 1.0)
+    assert factors.solve(right) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-7, abs=1e-9)
 
 
 def test_a_harmonic_motion_has_length_one_in_each_component():

@@ -36,7 +36,7 @@ from orbitfinder.loops.symmetry import (
     symmetries_of,
 )
 from orbitfinder.loops.watch import watches
-from orbitfinder.mechanics.kind import build_model, with_parameters
+from orbitfinder.mechanics.kind import build_model, system_kind, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lengths
 from orbitfinder.orbits import method
@@ -79,6 +79,9 @@ def begin(
     problem = as_problem(origin, model)
     if not problem.model.smooth:  # all events of the cycle are watched
         problem, symmetry = replace(problem, symmetry=NONE.name), NONE.name
+    if settings.certify:
+        for work in system_kind(problem.model.system).works(problem.model):
+            work.begin()
     by = settings.method or problem.method
     free, held = unknown_parameters(problem.model, settings, momenta_of(problem.boundary, problem.model))
     by_momentum = bool(problem.relative) and settings.parameter in momenta_of(problem.boundary, problem.model)

@@ -21,6 +21,7 @@ recognised before the loader sees it, because loading it could end the process.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import hashlib
 import os
@@ -112,6 +113,9 @@ class Statistics:
 _chosen: list[str] = []
 _statistics = Statistics()
 T = TypeVar("T")
+Begun = tuple[subprocess.Popen[str], Path]
+"""A compiler at work and the folder that it writes to"""
+_begun: dict[tuple[Path, str], Begun] = {}
 _known, _libraries = Kept[ca.Function](LIMITS.remembered), Kept[Any](LIMITS.remembered)
 
 
@@ -225,9 +229,34 @@ def library(code: str, opened: Callable[[Path, bool], T], effort: float | None, 
     compiler = find_compiler()
     if level:
         compiler = replace(compiler, tuning=(*compiler.tuning, level))
-    key = key_of(code, compiler.identity, " ".join(flags(len(code), compiler.tuning)), ca.__version__)
+    key = _key(code, compiler)
     entry: T = _libraries(key, lambda: _fetched(code, opened, effort, compiler, key))
     return entry
+
+
+def _key(code: str, compiler: Compiler) -> str:
+    return key_of(code, compiler.identity, " ".join(flags(len(code), compiler.tuning)), ca.__version__)
+
+
+def begin(make_code: Callable[[], str], effort: float | None) -> None:
+    """Have a compiler begin beside this process with what `library` is asked for soon, if there is one."""
+    if mode() == "off":
+        return
+    with captured(), contextlib.suppress(Unavailable, OSError, RuntimeError):
+        code, compiler, place = make_code(), find_compiler(), usable()
+        key = _key(code, compiler)
+        worth_it(len(code), effort)
+        if (place, key) not in _begun and find_entry(place, key) is None:
+            _begun[place, key] = _compiling(compiler, code, place)
+
+
+@atexit.register
+def _abandoned() -> None:
+    """End compilers that nobody waited for, and remove what they have written."""
+    while _begun:
+        _, (process, work) = _begun.popitem()
+        _kill(process)
+        shutil.rmtree(work, ignore_errors=True)
 
 
 def _fetched(code: str, opened: Callable[[Path, bool], T], effort: float | None, compiler: Compiler, key: str) -> T:
@@ -242,7 +271,8 @@ def _fetched(code: str, opened: Callable[[Path, bool], T], effort: float | None,
             if entry is None:
                 if not held:
                     raise Unavailable("another process is compiling the same")
-                entry = opened(publish(make_library(compiler, code, place), place, key), True)
+                made = make_library(compiler, code, place, _begun.pop((place, key), None))
+                entry = opened(publish(made, place, key), True)
                 _count(made=1)
     return entry
 
@@ -371,13 +401,27 @@ def expected_seconds(size: int) -> float:
     return LIMITS.starting + LIMITS.seconds_per_byte * size
 
 
-def make_library(compiler: Compiler, code: str, folder: Path) -> Path:
-    """A shared library in `folder`, under a temporary name. Raises `Unavailable`, leaving nothing behind."""
+def _compiling(compiler: Compiler, code: str, folder: Path) -> Begun:
+    """A compiler at work in a folder of its own within `folder`. Raises `Unavailable`, leaving nothing behind."""
     work = Path(tempfile.mkdtemp(prefix="making-", dir=folder))
     try:
         source, made = work / "code.c", work / "code.so"
         source.write_text(code, encoding="utf-8")
-        _run([*compiler.command, *flags(len(code), compiler.tuning), str(source), "-o", str(made), "-lm"], TIMEOUT)
+        options = flags(len(code), compiler.tuning)
+        return _process([*compiler.command, *options, str(source), "-o", str(made), "-lm"]), work
+    except BaseException as error:
+        shutil.rmtree(work, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise Unavailable(f"cannot write: {error}") from None
+        raise
+
+
+def make_library(compiler: Compiler, code: str, folder: Path, begun: Begun | None = None) -> Path:
+    """A shared library in `folder`, under a temporary name. Raises `Unavailable`, leaving nothing behind."""
+    process, work = begun or _compiling(compiler, code, folder)
+    try:
+        _output(process, TIMEOUT)
+        made = work / "code.so"
         if not made.is_file():
             raise Unavailable("the compiler reported success and wrote nothing")
         handle, name = tempfile.mkstemp(prefix="making-", suffix=".so", dir=folder)
@@ -393,13 +437,20 @@ def make_library(compiler: Compiler, code: str, folder: Path) -> Path:
 
 def _run(command: list[str], timeout: float) -> str:
     """Standard output of a command; `Unavailable` when it fails, cannot start or takes too long."""
+    return _output(_process(command), timeout)
+
+
+def _process(command: list[str]) -> subprocess.Popen[str]:
     try:
-        process = subprocess.Popen(
+        return subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             start_new_session=True, text=True, errors="replace",
         )  # fmt: skip
     except OSError as error:
         raise Unavailable(f"cannot start: {error}") from None
+
+
+def _output(process: subprocess.Popen[str], timeout: float) -> str:
     try:
         output, _ = process.communicate(timeout=timeout)
     except BaseException as error:

@@ -198,7 +198,7 @@ def action_rate(model: Model) -> ca.Function:
 def prepare(model: Model, effort: float | None = None, free: tuple[str, ...] = ()) -> None:
     """Have the equations of a Model compiled: many of its orbits are to be certified, in `effort` (s) or more."""
     if system_kind(model.system).motion(model):  # certified by equations of its own
-        return expect(accelerations(model), effort)
+        return expect(accelerations(model), effort).begin()
     equations = hamilton(model, free)
     expect(equations.field, effort)
     if not free:  # with parameters left free only closures are looked at

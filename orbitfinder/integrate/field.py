@@ -25,7 +25,7 @@ from scipy.integrate import DOP853, ode
 
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.caches import Kept, Same
-from orbitfinder.integrate.compiled import Unavailable, attempted, casadi_code, expected_seconds, library, mode
+from orbitfinder.integrate.compiled import Unavailable, attempted, begin, casadi_code, expected_seconds, library, mode
 from orbitfinder.integrate.evaluate import Buffered
 
 VectorField = Callable[[float, np.ndarray], np.ndarray]
@@ -169,6 +169,10 @@ class Work:
         self._unasked = SPOT_CHECKED
         return True
 
+    def begin(self) -> None:
+        """Have a compiler begin with the library, which will be asked for."""
+        begin(self._code, self.spent)
+
     def doubted(self) -> None:
         """Never again by the library, which does not say what the interpreter says."""
         self._library, self._next = None, np.inf
@@ -209,12 +213,13 @@ def _work(function: ca.Function) -> _FunctionWork:
     return _works((Same(function), *surroundings), lambda: _FunctionWork(function))
 
 
-def expect(function: ca.Function | Bound, effort: float | None, stiff: bool = False) -> None:
+def expect(function: ca.Function | Bound, effort: float | None, stiff: bool = False) -> Work:
     """So many seconds of work with a field are to come, None for more than compiling it takes; of one that is `stiff`
     at the limit of stability."""
     work = _work(function.function if isinstance(function, Bound) else function)
     work.spent = max(work.spent, np.inf if effort is None else effort)
     work.stiff = work.stiff or stiff
+    return work
 
 
 def _code(function: ca.Function) -> str:
@@ -314,6 +319,10 @@ class CompiledField:
     def stiff(self) -> bool:
         """Whether it has been integrated at the limit of stability."""
         return self._work.stiff
+
+    def begin(self) -> None:
+        """Have a compiler begin with what it is compiled to."""
+        self._work.begin()
 
     def library(self) -> Library | None:
         """What it is compiled to, if it is."""

@@ -186,27 +186,59 @@ def _solver(matrix: np.ndarray) -> Solver:
 
 
 class Factors:
-    """The LU factors of a square matrix. Raises `LinAlgError` where it is singular, or not square."""
+    """The LU factors of a square matrix. Raises `LinAlgError` where it is singular, or not square.
 
-    def __init__(self, matrix: np.ndarray) -> None:
+    Its first rows may be those of the links between `nodes` (N x d), -1 by each next node: then all nodes are followed
+    from the first, and what is factorised is d and the last columns wide.
+    """
+
+    def __init__(self, matrix: np.ndarray, nodes: tuple[int, ...] = (1, 0)) -> None:
         if matrix.shape[0] != matrix.shape[1] or not np.all(np.isfinite(matrix)):
             raise np.linalg.LinAlgError("not square or not finite")
-        if len(matrix) > SMALL and SPARSE * np.count_nonzero(matrix) < matrix.size:
+        (count, size), self._sparse = nodes, None
+        self.links = self._closing = self._along = matrix[:0]
+        if len(matrix) > SMALL and count > 1:
+            matrix = self._followed(matrix, count, size)
+        elif len(matrix) > SMALL and SPARSE * np.count_nonzero(matrix) < matrix.size:
             try:
                 self._sparse = splu(csc_matrix(matrix))
             except RuntimeError as error:
                 raise np.linalg.LinAlgError(str(error)) from None
             return
-        self._sparse = None
         self._dense, self._order, fault = dgetrf(matrix)
         if fault:
             raise np.linalg.LinAlgError("singular matrix")
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """matrix^-1 right."""
+        """matrix^-1 right (n)."""
         if self._sparse is not None:
             return np.asarray(self._sparse.solve(right))
-        return np.asarray(dgetrs(self._dense, self._order, right)[0])
+        cut = len(self.links)
+        if not cut:
+            return np.asarray(dgetrs(self._dense, self._order, right)[0])
+        carried = np.zeros(len(self._along))
+        size = len(carried) - cut
+        for k in range(0, cut, size):
+            here, after = slice(k, k + size), slice(k + size, k + 2 * size)
+            carried[after] = self.links[here, here] @ carried[here] - right[here]
+        head = np.asarray(dgetrs(self._dense, self._order, right[cut:] - self._closing @ carried)[0])
+        return np.concatenate([carried + self._along @ head, head[size:]])
+
+    def _followed(self, matrix: np.ndarray, count: int, size: int) -> np.ndarray:
+        """The closing rows by the first node and the last columns; the matrix itself where segments grow too much."""
+        total, cut = count * size, (count - 1) * size
+        along = np.zeros((total, size + len(matrix) - total))
+        along[:size, :size] = np.eye(size)
+        for k in range(0, cut, size):
+            here, after = slice(k, k + size), slice(k + size, k + 2 * size)
+            along[after] = matrix[here, here] @ along[here]
+            along[after, size:] += matrix[here, total:]
+        if not np.abs(along).max() <= LARGEST_PRODUCT:
+            return matrix
+        self.links, self._closing, self._along = matrix[:cut], matrix[cut:, :total], along
+        reduced = self._closing @ along
+        reduced[:, size:] += matrix[cut:, total:]
+        return np.asarray(reduced)
 
 
 class Broyden:

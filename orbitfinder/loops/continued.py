@@ -219,19 +219,28 @@ def _approached(
     """The guess improved by Broyden's method on marches of the state alone, in long steps, from a Jacobian of all rows.
 
     Stops where a step no longer helps. `measures` are what each row is measured in, and what it loses to round-off.
-    Where variations are dear it goes on in the steps of the guess's mesh, or of that which `fit` makes of it, until
-    Newton's method has to march them only once.
+    Where variations are dear they are marched in long steps too when the Jacobian leads no further, and it goes on in
+    the steps of the guess's mesh, or of that which `fit` makes of it, until Newton's method has to march them only once
+    in short ones.
     """
     coarser = 2 if guess.steps % 2 == 0 and guess.mesh.size > CORRECTOR.fewest_steps else 1
     cut = (len(guess.nodes) - 1) * curve.equations.size + len(curve.equations.boundary[0])
     matrix[cut : cut + len(curve.normals), : curve.normals.shape[1]] = curve.normals
+    dear, best = curve.equations.march.wide, np.inf
+    kept = guess.on(guess.mesh[::coarser])
     try:
-        method = Broyden(Factors(matrix))
-    except np.linalg.LinAlgError:
-        return guess
-    kept, best = _stepped(curve, guess.on(guess.mesh[::coarser]), aim, method, measures, CORRECTOR.approached)
+        while True:
+            method, before = Broyden(_factors(curve, guess, matrix)), best
+            kept, best = _stepped(curve, kept, aim, method, measures, CORRECTOR.approached)
+            if not dear or best < CORRECTOR.approached or not best < CORRECTOR.slow * before:
+                break
+            rows = jacobian_of(curve, kept, curve.equations.varied(kept))
+            assert isinstance(rows, np.ndarray)
+            matrix = np.vstack([rows, curve.slopes(kept, (aim,))])
+    except (np.linalg.LinAlgError, IntegrationError):
+        return kept.on(guess.mesh)
     kept = kept.on(guess.mesh)
-    if not (curve.equations.march.wide and best < CORRECTOR.approached):
+    if not (dear and best < CORRECTOR.approached):
         return kept
     try:
         if fit is not None:
@@ -362,8 +371,8 @@ def _correcting(
         if ready:
             if border is not None:  # by so much off the bifurcation was the march
                 return Solution(moved, curve.equations.varied(moved, states=True), jacobian, largest)
-            kept = {"solver": (jacobian, solver)} if isinstance(jacobian, Linearised) else {}
-            return Solution(moved, path, jacobian, largest, distance(curve, moved, w), w, kept)
+            solved = {"solver": (jacobian, solver)}
+            return Solution(moved, path, jacobian, largest, distance(curve, moved, w), w, solved)
         if not distance(curve, moved, guess) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
         if fit is not None and largest < CORRECTOR.fitting:
@@ -453,7 +462,7 @@ def _solver(
     matrix = np.vstack([jacobian, row])
     if not curve.degenerate:
         try:
-            return Factors(matrix).solve
+            return _factors(curve, w, matrix).solve
         except np.linalg.LinAlgError:
             return lambda right: np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0])
     columns = curve.scales.columns(w)
@@ -461,6 +470,11 @@ def _solver(
     rows = nonzero(np.linalg.norm(measured, axis=1))
     left, sizes, across = np.linalg.svd(measured / rows[:, None])
     return lambda right: np.asarray(columns * (across[:-1].T @ ((left.T @ (right / rows))[:-1] / sizes[:-1])))
+
+
+def _factors(curve: Curve, w: Unknowns, matrix: np.ndarray) -> Factors:
+    """The factors of all rows, one over w the last; of large nodes each follows from the first."""
+    return Factors(matrix, w.nodes.shape if curve.equations.march.wide else (1, 0))
 
 
 def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> Condition:

@@ -83,7 +83,7 @@ def _growths(curve: Curve, solution: Solution) -> np.ndarray:
 
 def _steep(curve: Curve, solution: Solution) -> bool:
     """Whether a segment has grown beyond `MESH.steepest`, looked at closely where its entries are as large."""
-    if not curve.equations.size * np.abs(_blocks(curve, solution)).max() > MESH.steepest:
+    if not np.linalg.norm(_blocks(curve, solution), axis=(1, 2)).max() > MESH.steepest:
         return False
     return bool(_growths(curve, solution).max() > MESH.steepest)
 

@@ -69,6 +69,8 @@ class SystemKind:
     """(model) -> what integrates it for certificates by equations of its own, as `orbits.evidence.canonical_motion`"""
     field: Callable[[Model], Callable[[float, np.ndarray], np.ndarray] | None] = lambda model: None
     """(model) -> the field (t, x) -> x' of those equations"""
+    works: Callable[[Model], tuple[Any, ...]] = lambda model: ()
+    """(model) -> what of them a compiler may begin with"""
 
 
 def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:

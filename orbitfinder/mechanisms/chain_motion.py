@@ -14,7 +14,7 @@ from scipy.integrate import trapezoid
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.integrate.dop853 import STEPS_PER_PERIOD, ReferenceSettings, Trace, integrate_in
-from orbitfinder.integrate.field import VectorField
+from orbitfinder.integrate.field import CompiledField, VectorField
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.mechanisms.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.orbits.evidence import SAMPLES, Motion, canonical_frame, drifting, evenly, units_of
@@ -38,6 +38,12 @@ def motion_of(model: Model) -> Callable[..., Motion] | None:
 def field_of(model: Model) -> VectorField | None:
     """x' = (v, a) of a Model that is a long chain."""
     return chain_lagrange(model).rates if motion_of(model) else None
+
+
+def works_of(model: Model) -> tuple[CompiledField, ...]:
+    """What a compiler may begin with of a long chain's certificate: its field, and that of its variations."""
+    closed = chain_lagrange(model) if motion_of(model) else None
+    return (closed.rates, closed.varied_rates) if closed else ()
 
 
 def chain_motion(

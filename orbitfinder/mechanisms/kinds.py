@@ -11,7 +11,7 @@ from orbitfinder.mechanics.kind import CLOSING, FUNCTIONS, KINDS, SystemKind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms import library, structure  # noqa: F401 - enters itself
 from orbitfinder.mechanisms.chain import chain, chain_dae
-from orbitfinder.mechanisms.chain_motion import field_of, motion_of
+from orbitfinder.mechanisms.chain_motion import field_of, motion_of, works_of
 from orbitfinder.mechanisms.closing import JOINED, minimal_mechanism
 from orbitfinder.mechanisms.driven import DRIVEN
 from orbitfinder.mechanisms.linkage import LOOPS, linkage, minimal_linkage
@@ -58,7 +58,7 @@ def _drawn(system: Mapping[str, Any]) -> str:
 KINDS.update(
     chain=SystemKind(
         _chain, _pendulum, takes=chain, reread=True, pendulum=True, joints=lambda system: int(system["links"]),
-        motion=motion_of, field=field_of,
+        motion=motion_of, field=field_of, works=works_of,
     ),
     linkage=SystemKind(
         _linkage, _bars, takes=linkage, reread=True, joints=lambda system: len(system["length"]) + 1, loops=LOOPS

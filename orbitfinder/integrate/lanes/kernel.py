@@ -46,11 +46,12 @@ class Kernel:
     """Marches of y' = f(t, y, s, free) by C `code`, `known` being the same in CasADi. Raises `Unavailable`.
 
     A single segment is marched by code of one lane, in half the time of a register of eight; its bits are the same.
-    With many columns, which fill the registers, so is each: `wide`.
+    With many columns, which fill the registers, so is each, and the state beside them by that of many: `only`.
     """
 
-    def __init__(self, code: str, known: ca.Function, alone: bool, wide: bool = False) -> None:
-        self._code, self._known, self._wide = code, known, wide
+    def __init__(self, code: str, known: ca.Function, alone: bool, only: bool | None = None) -> None:
+        self._code, self._known, self._only = code, known, only
+        alone = alone if only is None else only
         self._libraries = {alone: self._made(alone)}
 
     def marched(
@@ -101,7 +102,7 @@ class Kernel:
 
     def _library(self, alone: bool) -> ctypes.CDLL:
         """That of one lane or of many; where it cannot be made the other serves."""
-        alone = alone or self._wide
+        alone = alone if self._only is None else self._only
         if alone not in self._libraries:
             made = attempted(self._known.name(), lambda: self._made(alone))
             self._libraries[alone] = made or self._libraries[not alone]
@@ -170,8 +171,9 @@ def _kept(
         emitted, known = forms()
         code = march_code(emitted, inverses)
         worth_it(len(code), effort)
-        wide = isinstance(emitted, SparseSlopes) and known.size1_in(1) >= WIDE
-        return Kernel(code, known, alone or wide, wide)
+        size, varied = known.size1_in(1), isinstance(emitted, SparseSlopes)
+        large = size >= WIDE if varied else key[1:] == () and size * (1 + size) >= WIDE
+        return Kernel(code, known, alone, varied if large else None)
 
     if mode() == "off":
         return None
