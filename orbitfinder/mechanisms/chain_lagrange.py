@@ -20,6 +20,7 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dposv, dpotrs
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.compiled import Unavailable
 from orbitfinder.integrate.field import CompiledField, VectorField, Work, as_table, with_dop853
@@ -153,14 +154,20 @@ class ChainLagrange:
             ends.append(march(some.ravel("F")).reshape(2 * self.weights.size, -1, order="F"))
         return ends[0][:, 0], np.hstack([part[:, 1:] for part in ends])[:, :count]
 
+    @cached_property
+    def hanging(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """s and h (n each) with m_ij = s_i h_j for i < j; None where links do not hang in a row."""
+        above = np.triu(self.coupling, 1)
+        heavy = above[0]
+        short = (above @ heavy) / nonzero(np.cumsum((heavy**2)[::-1])[::-1] - heavy**2)
+        off = np.abs(np.triu(np.outer(short, heavy) - above, 1)).max(initial=0.0)
+        return (short, heavy) if off <= ROUND_OFF * np.abs(self.coupling).max() else None
+
     def _code(self, columns: int) -> str:
         """C of the field with variations of so many columns. Raises `Unavailable` where links do not hang in a row."""
-        heavy, ends = np.append(0.0, self.coupling[0, 1:]), self.coupling[:-1, -1]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            short = np.append(ends / ends[0], 0.0)
-        off = np.triu(np.outer(short, heavy) - self.coupling, 1)
-        if not np.abs(off).max(initial=0.0) <= ROUND_OFF * np.abs(self.coupling).max():
+        if self.hanging is None:
             raise Unavailable("links do not hang one on another")
+        short, heavy = self.hanging
         tables = {"OWN": np.diag(self.coupling), "SHORT": short, "HEAVY": heavy, "WEIGHTS": self.weights}
         own = (files("orbitfinder.mechanisms") / "chain_lagrange.c").read_text(encoding="utf-8")
         lines = [f"#define LINKS {self.weights.size}", f"#define COLUMNS {columns}"]
@@ -239,6 +246,8 @@ def chain_lagrange(model: Model) -> ChainLagrange:
 def _check(closed_form: ChainLagrange, model: Model) -> None:
     """`InputError` unless the closed form gives the Model's energies at random states."""
     n, values, random = closed_form.weights.size, model.parameter_values, np.random.default_rng(0)
+    if closed_form.hanging is None:
+        raise InputError("system: the links of this chain do not hang in a row")
     rest = float(model.potential(np.zeros(n), values)) + float(closed_form.weights.sum())
     for x in random.normal(0.0, 1.0, (3, 2 * n)):
         kinetic, potential = (float(part[0]) for part in closed_form.energies(x))

@@ -27,6 +27,7 @@ from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms.chain_lagrange import ChainLagrange, is_long
 from orbitfinder.mechanisms.chain_march import CHUNK, ClosedChain
+from orbitfinder.mechanisms.chain_rows import balancing
 from orbitfinder.orbits.floquet import Floquet, analyse, reduce_monodromy, symplectic_unit
 from orbitfinder.orbits.guesses.balance import (
     FEWEST,
@@ -45,9 +46,8 @@ from orbitfinder.records.orbit import Orbit
 SAMPLES = 512
 """Intervals of the dense samples over a period."""
 NODES = 8
-PATH_PHASE, NEWTON_PHASE, MULTIPLIER_PHASE = 0.5, 1.0, 0.3
-"""Radians of the fastest linear mode in a step. Relative errors of the variations at 100 links: 2e-5 at 1
-(enough for a Newton matrix), 2e-9 at 0.3."""
+PATH_PHASE, NEWTON_PHASE = 0.5, 1.0
+"""Radians of the fastest linear mode in a step"""
 DIRECT = 0.05
 """A guess that misses q = 0 by less than this, relative, after a quarter of its period is corrected directly."""
 AGREEMENT = 1e-8
@@ -133,7 +133,7 @@ def balanced(chain: Chain, report: Callable[[str, int, float, float], None]) -> 
         report(f"harmonic balance at {fraction:.3f} of the pin", len(found.coefficients), found.tail, found.period)
 
     closed = chain.closed
-    found = along_family(chain.problem, closed.squared, closed.modes, closed.linearised, chain.pin, told)
+    found = along_family(chain.problem, closed.squared, closed.modes, balancing(closed), chain.pin, told)
     if found is not None:
         return found
     raise ConvergenceError(
@@ -159,7 +159,7 @@ def _from_guess(chain: Chain) -> Series | None:
     orders = 2 * np.arange(count) + 1
     cosines = np.cos(np.outer(orders, orders) * np.pi / (4 * count))
     series = Series(2 / count * cosines.T @ spline(orders * np.pi / (4 * count)), 2 * np.pi / guess.period)
-    found = resolved(series, chain.closed.linearised, chain.pin(chain.problem.pin[0]), FINE_TAIL)
+    found = resolved(series, balancing(chain.closed), chain.pin(chain.problem.pin[0]), FINE_TAIL)
     return found[0] if found is not None and near(series, found[0]) else None
 
 
@@ -200,8 +200,7 @@ def multipliers(chain: Chain, first: np.ndarray, last: np.ndarray, period: float
     A^-1 = -J A^T J by symplecticity, so that the pair defect of W^2 is a true error bar.
     """
     n, closed = first.size // 2, chain.closed
-    steps = period * np.diff(chain.mesh(FRACTION, period, MULTIPLIER_PHASE))
-    columns = chain.march.variations(first, steps, np.kron(np.eye(2), closed.modes))
+    columns = chain.march.variations(first, FRACTION * period, np.kron(np.eye(2), closed.modes))
     matrix = closed.carried(first, last, columns)
     unit = symplectic_unit(n)
     half, _ = chain.problem.boundary.root(matrix, lambda other: -unit @ matrix.T @ unit @ other, 2 * n)
