@@ -84,14 +84,14 @@ def test_closed_form_variations_agree_with_automatic_differentiation():
     model = chain(6, **UNEQUAL)
     closed, random = chain_lagrange(model), np.random.default_rng(2)
     x, columns = random.normal(0, 1, 12), random.normal(0, 1, (12, 7))
-    found = closed.variational(0.0, np.concatenate([x, columns.ravel("F")]))
+    found = closed.variational(0.0, np.concatenate([x, columns.ravel()]))
     y, p = ca.SX.sym("y", 12), model.parameter_values
     rate = ca.vertcat(y[6:], model.acceleration(0, y[:6], y[6:], p))
     field = ca.Function("field", [y], [rate, ca.jacobian(rate, y)])
     wanted = [part.full() for part in field(x)]
     assert found[:12] == pytest.approx(wanted[0].ravel(), rel=1e-11, abs=1e-11)
     varied = wanted[1] @ columns
-    assert np.abs(found[12:].reshape(12, 7, order="F") - varied).max() <= 1e-11 * np.abs(varied).max()
+    assert np.abs(found[12:].reshape(12, 7) - varied).max() <= 1e-11 * np.abs(varied).max()
     a, by_place, by_rate = closed.linearised(x[:6], x[6:])
     assert a == pytest.approx(found[6:12], rel=1e-12)
     assert np.abs(np.hstack([by_place, by_rate]) - wanted[1][6:]).max() <= 1e-11 * np.abs(wanted[1]).max()
@@ -99,9 +99,9 @@ def test_closed_form_variations_agree_with_automatic_differentiation():
 
 @pytest.mark.skipif(not available()[0], reason="no C compiler")
 def test_closed_form_in_c_says_what_numpy_says():
-    """Rates and variations of unequal links, of which 14 columns are no multiple of the lanes."""
+    """Rates and variations of unequal links, in two lanes of columns."""
     closed, random = chain_lagrange(chain(7, length=np.linspace(0.5, 1.5, 7), com=0.3)), np.random.default_rng(6)
-    for fast, slow, size in ((closed.rates, closed.field, 14), (closed.varied_rates, closed.variational, 210)):
+    for fast, slow, size in ((closed.rates, closed.field, 14), (closed.varied_rates, closed.variational, 14 * 17)):
         library, states = fast.library(), random.normal(0, 1, (3, size))
         assert library is not None
         wanted = np.array([slow(0.0, state) for state in states])

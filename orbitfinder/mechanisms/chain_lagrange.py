@@ -27,9 +27,10 @@ from orbitfinder.integrate.field import CompiledField, VectorField, Work, as_tab
 from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model
 
-AGREEMENT, ROUND_OFF, WIDEST = 1e-10, 1e-13, 40
+AGREEMENT, ROUND_OFF, WIDEST, LANES = 1e-10, 1e-13, 40, 8
 """The closed form must give the Model's energies to this, relative, at states it was not read from, in C its rates;
-error of the coupling that two numbers a link stand for, relative to its largest entry; columns varied together"""
+error of the coupling that two numbers a link stand for, relative to its largest entry; columns varied together at most,
+and those in a register"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,15 +88,12 @@ class ChainLagrange:
         return factor, a, slopes
 
     def variational(self, _: float, z: np.ndarray) -> np.ndarray:
-        """z' for z = (x, vec Y), Y (2n x k) by columns: Y_q' = Y_v, M Y_v' = -(dr/dq Y_q + dr/dv Y_v)."""
+        """z' for z = (x, Y), Y (2n x k) row by row: Y_q' = Y_v, M Y_v' = -(dr/dq Y_q + dr/dv Y_v)."""
         n = self.weights.size
-        rate, rows = np.empty_like(z), z[2 * n :].reshape(-1, 2 * n)  # the rows are the columns of Y
+        columns = z[2 * n :].reshape(2 * n, -1)
         factor, a, slopes = self._slopes(z[:n], z[n : 2 * n])
-        rate[:n], rate[n : 2 * n] = z[n : 2 * n], a
-        rates = rate[2 * n :].reshape(-1, 2 * n)
-        rates[:, :n] = rows[:, n:]
-        np.negative(_backed(factor, (rows @ slopes.T).T).T, out=rates[:, n:])
-        return rate
+        bent = _backed(factor, np.asfortranarray(slopes @ columns))
+        return np.concatenate([z[n : 2 * n], a, columns[n:].ravel(), -bent.ravel()])
 
     def momentum_frame(self, x: np.ndarray) -> np.ndarray:
         """d(eta, pi)/d(q, v) (2n x 2n) at x, the canonical pair q = U eta, pi = U^T M v.
@@ -133,26 +131,23 @@ class ChainLagrange:
 
     @cached_property
     def width(self) -> int:
-        """Columns that are varied together: in C as many as a cache holds along the stages of a step."""
-        return 2 * self.weights.size if self.varied_rates.library() is None else self._block
-
-    @property
-    def _block(self) -> int:
-        return -(-2 * self.weights.size // -(-2 * self.weights.size // WIDEST))
+        """Columns that are varied together, as many as a cache holds along the stages of a step."""
+        return min(WIDEST, -(-2 * self.weights.size // LANES) * LANES)
 
     @cached_property
     def varied_rates(self) -> CompiledField:
         """`variational` of `width` columns, in C where there is a compiler."""
-        return _ClosedField(self.variational, Work("variations", lambda: self._code(self._block), np.inf))
+        return _ClosedField(self.variational, Work("variations", lambda: self._code(self.width), np.inf))
 
     def varied(self, columns: np.ndarray, march: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """The state (2n) and the columns of a matrix (2n x k) that a march of vec Y to (x, vec Y) ends with, `width` of
-        them at a time."""
+        """The state (2n) and the columns of a matrix (2n x k) that a march of Y to (x, Y) ends with, `width` of them at
+        a time."""
         count, ends = columns.shape[1], list[np.ndarray]()
         for first in range(0, count, self.width):
             some = columns[:, np.arange(first, first + self.width) % count]  # of the last block some come again
-            ends.append(march(some.ravel("F")).reshape(2 * self.weights.size, -1, order="F"))
-        return ends[0][:, 0], np.hstack([part[:, 1:] for part in ends])[:, :count]
+            ends.append(march(some.ravel()))
+        size = 2 * self.weights.size
+        return ends[0][:size], np.hstack([end[size:].reshape(size, -1) for end in ends])[:, :count]
 
     @cached_property
     def hanging(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -170,7 +165,8 @@ class ChainLagrange:
         short, heavy = self.hanging
         tables = {"OWN": np.diag(self.coupling), "SHORT": short, "HEAVY": heavy, "WEIGHTS": self.weights}
         own = (files("orbitfinder.mechanisms") / "chain_lagrange.c").read_text(encoding="utf-8")
-        lines = [f"#define LINKS {self.weights.size}", f"#define COLUMNS {columns}"]
+        sizes = {"LINKS": self.weights.size, "LANES": LANES, "GROUP": columns // LANES}
+        lines = [f"#define {name} {size}" for name, size in sizes.items()]
         return with_dop853("\n".join([*lines, *(as_table(*each) for each in tables.items()), own]))
 
     def energies(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

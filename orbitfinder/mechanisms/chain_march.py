@@ -143,7 +143,9 @@ class ClosedChain(March):
         for state in states:
             direction = random.normal(0.0, 1.0, state.size)
             wanted = function(state, direction).full().reshape(2, -1)
-            both = np.concatenate([state, np.tile(direction, self.closed.width)])
-            rates = self.closed.varied_rates.many(np.zeros(1), both[None])[0, : 2 * state.size].reshape(2, -1)
+            columns = np.tile(direction[:, None], self.closed.width)
+            both = np.concatenate([state, columns.ravel()])
+            rate, *varied = np.split(self.closed.varied_rates.many(np.zeros(1), both[None])[0], [state.size])
+            rates = np.array([rate, varied[0].reshape(columns.shape)[:, 0]])
             apart = max(apart, float((np.abs(rates - wanted).max(1) / np.abs(wanted).max(1)).max()))
         return apart

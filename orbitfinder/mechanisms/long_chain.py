@@ -211,12 +211,14 @@ def multipliers(chain: Chain, first: np.ndarray, last: np.ndarray, period: float
 
 
 def measured(chain: Chain, start: np.ndarray, period: float) -> Orbit:
-    """The Orbit (without certificate) that starts at rest at `start` (n): the second half of its period is the first,
-    reflected, and it closes as well as the first does."""
+    """The Orbit (without certificate) that starts at rest at `start` (n): a quarter of its period, the same backwards
+    and reflected, and both of these reflected, which join up to twice q(T/4)."""
     problem = chain.problem
-    mesh = chain.mesh(0.5, period, PATH_PHASE, SAMPLES // 2)
-    half = chain.march.refined(_at_rest(start)[0], mesh, np.array([period]))[:: 2 * mesh.size // SAMPLES]
+    mesh = chain.mesh(FRACTION, period, PATH_PHASE, SAMPLES // 4)
+    quarter = chain.march.refined(_at_rest(start)[0], mesh, np.array([period]))[:: 4 * mesh.size // SAMPLES]
+    half = np.vstack([quarter, quarter[-2::-1] * np.repeat([-1.0, 1.0], start.size)])
     states = np.vstack([half[:-1], -half])
+    end = states[-1] + 2 * quarter[-1] * np.repeat([1.0, 0.0], start.size)
     times = np.linspace(0.0, period, SAMPLES + 1)
     apart = chain.march.disagreement(states[: SAMPLES // 4 + 1 : SAMPLES // 16])
     if not apart < AGREEMENT:
@@ -225,6 +227,6 @@ def measured(chain: Chain, start: np.ndarray, period: float) -> Orbit:
             f"by {apart:.2g}, relative; please report this with the problem file"
         )
     return recorded(
-        problem, period, states[-1], states[: -1 : SAMPLES // NODES], times, states, np.zeros(0),
+        problem, period, end, states[: -1 : SAMPLES // NODES], times, states, np.zeros(0),
         action(problem.model, times, states), multipliers(chain, states[0], states[SAMPLES // 4], period),
     )  # fmt: skip
