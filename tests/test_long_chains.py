@@ -140,9 +140,13 @@ def test_momentum_frame_is_canonical():
     assert np.abs(closed.momentum_frame(x) - wanted).max() <= 1e-7 * np.abs(wanted).max()
 
 
-def test_closed_form_refuses_what_is_no_chain():
+def test_closed_form_refuses_what_is_no_chain(monkeypatch):
     with pytest.raises(InputError, match="not those of an open planar chain"):
         chain_lagrange(henon_heiles())
+    assert chain_lagrange(chain(5, com=0.0)).hanging is not None  # where the last link couples with no other
+    monkeypatch.setattr("orbitfinder.mechanisms.chain_lagrange.ROUND_OFF", -1.0)
+    with pytest.raises(InputError, match="do not hang in a row"):
+        chain_lagrange(chain(3))
 
 
 # --- the parts -------------------------------------------------------------------------------------

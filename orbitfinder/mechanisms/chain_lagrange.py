@@ -131,13 +131,17 @@ class ChainLagrange:
 
     @cached_property
     def width(self) -> int:
-        """Columns that are varied together, as many as a cache holds along the stages of a step."""
-        return min(WIDEST, -(-2 * self.weights.size // LANES) * LANES)
+        """Columns that are varied together: in C as many as a cache holds along the stages of a step."""
+        return self._whole if self.varied_rates.library() is None else min(WIDEST, self._whole)
+
+    @property
+    def _whole(self) -> int:
+        return -(-2 * self.weights.size // LANES) * LANES
 
     @cached_property
     def varied_rates(self) -> CompiledField:
         """`variational` of `width` columns, in C where there is a compiler."""
-        return _ClosedField(self.variational, Work("variations", lambda: self._code(self.width), np.inf))
+        return _ClosedField(self.variational, Work("variations", lambda: self._code(min(WIDEST, self._whole)), np.inf))
 
     def varied(self, columns: np.ndarray, march: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """The state (2n) and the columns of a matrix (2n x k) that a march of Y to (x, Y) ends with, `width` of them at
