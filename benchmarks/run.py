@@ -63,6 +63,10 @@ ELSEWHERE = {
     "large": "Large systems by shooting, against an earlier checkout: `python benchmarks/large.py --before FOLDER`",
     "balance": "Large driven systems by harmonic balance: `python benchmarks/balance.py --pyharm PYTHON`",
     "earlier": "Times against an earlier checkout's: `python benchmarks/earlier.py --against COMMIT`",
+    "maps": "Maps of a parameter plane and diagrams by brute force: `python benchmarks/maps.py`",
+    "sweep": "Parameter studies: `python benchmarks/sweep.py`",
+    "search_wide": "A wider search, against an earlier checkout: `python benchmarks/search.py --against COMMIT`",
+    "control": "Controlled motions, beside rockit: `python benchmarks/control.py`",
     "hybrid_search": "Searches of hybrid systems, against a scan by brute force: `python benchmarks/hybrid_search.py`",
     "hybrid": "Walking machines, against a script by hand and a second program: `python benchmarks/hybrid.py`",
 }

@@ -264,7 +264,6 @@ ITERATIONS = {
     "structures.frequencies": "no Newton: lines of a spectrum, taken off one after the other",
     "control.riccati": "no Newton: the doubling of a Riccati equation",
     "control.stationary": "no Newton: constraints that are met or let go",
-    "orbits.guesses.balance": "no Newton: harmonics are doubled",
     "orbits.harmonics": "no Newton: a kernel by inverse iteration",
     "orbits.hill": "no Newton: more exponents about a shift, until they reach as far as a bound asks",
     "orbits.implicit": "the stages of a step, which end at round-off in extents of the motion; the fastest mode",

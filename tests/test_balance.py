@@ -127,6 +127,20 @@ def test_a_run_that_was_cut_goes_on_where_it_stopped(tmp_path):
     assert np.array_equal(again.values("closure"), whole.values("closure"))
 
 
+def test_a_journal_of_a_large_family_keeps_its_series(tmp_path):
+    """States of 41 masses that the series tells are not written down, and are the same when they are read."""
+    given = {"until": 0.0802, "settings": of.FamilySettings(method="balance", events=False, certify=False)}
+    whole = of.follow_family(masses(41, 0.08, damping=0.002), "frequency", out=tmp_path, **given)
+    (journal,) = tmp_path.rglob("balance.jsonl")
+    lines = [json.loads(line) for line in journal.read_text().splitlines()]
+    assert all(len(line["orbit"]["nodes"]) == 1 for line in lines if "orbit" in line)
+    again = of.follow_family(masses(41, 0.08, damping=0.002), "frequency", out=tmp_path, **given)
+    assert len(again.points) == len(whole.points) > 1
+    for first, second in zip(whole.points, again.points, strict=True):
+        assert len(first.shooting_nodes) > 1
+        assert np.array_equal(first.shooting_nodes, second.shooting_nodes)
+
+
 def test_more_orders_converge_geometrically():
     """What the next orders add falls by the same factor again and again, and no more are taken than tell it."""
     point = begun(duffing(0.6, force=0.5), "frequency")

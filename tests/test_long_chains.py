@@ -27,13 +27,14 @@ from orbitfinder.mechanisms import chain_march, chain_motion
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.mechanisms.chain_lagrange import chain_lagrange, is_long
 from orbitfinder.mechanisms.chain_march import ClosedChain
+from orbitfinder.mechanisms.chain_rows import balancing
 from orbitfinder.mechanisms.long_chain import balanced, build_chain, find_long_chain, measured, shot, suits
 from orbitfinder.orbits import evidence
 from orbitfinder.orbits.certify import certified, certify
 from orbitfinder.orbits.evidence import gather
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.guesses import balance as harmonic_balance
-from orbitfinder.orbits.guesses.balance import Series
+from orbitfinder.orbits.guesses.balance import Series, dense
 from orbitfinder.orbits.guesses.modes import normal_mode
 from orbitfinder.systems import henon_heiles
 
@@ -83,14 +84,14 @@ def test_closed_form_variations_agree_with_automatic_differentiation():
     model = chain(6, **UNEQUAL)
     closed, random = chain_lagrange(model), np.random.default_rng(2)
     x, columns = random.normal(0, 1, 12), random.normal(0, 1, (12, 7))
-    found = closed.variational(0.0, np.concatenate([x, columns.ravel("F")]))
+    found = closed.variational(0.0, np.concatenate([x, columns.ravel()]))
     y, p = ca.SX.sym("y", 12), model.parameter_values
     rate = ca.vertcat(y[6:], model.acceleration(0, y[:6], y[6:], p))
     field = ca.Function("field", [y], [rate, ca.jacobian(rate, y)])
     wanted = [part.full() for part in field(x)]
     assert found[:12] == pytest.approx(wanted[0].ravel(), rel=1e-11, abs=1e-11)
     varied = wanted[1] @ columns
-    assert np.abs(found[12:].reshape(12, 7, order="F") - varied).max() <= 1e-11 * np.abs(varied).max()
+    assert np.abs(found[12:].reshape(12, 7) - varied).max() <= 1e-11 * np.abs(varied).max()
     a, by_place, by_rate = closed.linearised(x[:6], x[6:])
     assert a == pytest.approx(found[6:12], rel=1e-12)
     assert np.abs(np.hstack([by_place, by_rate]) - wanted[1][6:]).max() <= 1e-11 * np.abs(wanted[1]).max()
@@ -98,9 +99,9 @@ def test_closed_form_variations_agree_with_automatic_differentiation():
 
 @pytest.mark.skipif(not available()[0], reason="no C compiler")
 def test_closed_form_in_c_says_what_numpy_says():
-    """Rates and variations of unequal links, of which 14 columns are no multiple of the lanes."""
+    """Rates and variations of unequal links, in two lanes of columns."""
     closed, random = chain_lagrange(chain(7, length=np.linspace(0.5, 1.5, 7), com=0.3)), np.random.default_rng(6)
-    for fast, slow, size in ((closed.rates, closed.field, 14), (closed.varied_rates, closed.variational, 210)):
+    for fast, slow, size in ((closed.rates, closed.field, 14), (closed.varied_rates, closed.variational, 14 * 17)):
         library, states = fast.library(), random.normal(0, 1, (3, size))
         assert library is not None
         wanted = np.array([slow(0.0, state) for state in states])
@@ -109,6 +110,19 @@ def test_closed_form_in_c_says_what_numpy_says():
     branched = closed.coupling.copy()
     branched[2, 4] = branched[4, 2] = 0.5 * branched[2, 4]
     assert replace(closed, coupling=branched).rates.library() is None  # its links do not hang in a row
+
+
+def test_newtons_steps_link_by_link_are_those_of_the_dense_matrix():
+    """Of unequal links, at a series that is no solution."""
+    closed, random = chain_lagrange(chain(6, **UNEQUAL)), np.random.default_rng(7)
+    row = random.normal(0, 1, 6)
+    series = Series(0.3 * random.normal(0, 1, (6, 6)) / 2.0 ** np.arange(6)[:, None], 0.9)
+
+    def pinned(place: np.ndarray, period: float) -> tuple[float, np.ndarray, float]:
+        return float(row @ place) + 0.1 * period - 1.0, row, 0.1
+
+    found, wanted = (step(series, pinned) for step in (balancing(closed), dense(closed.linearised)))
+    assert np.abs(found - wanted).max() <= 1e-10 * np.abs(wanted).max()
 
 
 def test_momentum_frame_is_canonical():
@@ -126,9 +140,13 @@ def test_momentum_frame_is_canonical():
     assert np.abs(closed.momentum_frame(x) - wanted).max() <= 1e-7 * np.abs(wanted).max()
 
 
-def test_closed_form_refuses_what_is_no_chain():
+def test_closed_form_refuses_what_is_no_chain(monkeypatch):
     with pytest.raises(InputError, match="not those of an open planar chain"):
         chain_lagrange(henon_heiles())
+    assert chain_lagrange(chain(5, com=0.0)).hanging is not None  # where the last link couples with no other
+    monkeypatch.setattr("orbitfinder.mechanisms.chain_lagrange.ROUND_OFF", -1.0)
+    with pytest.raises(InputError, match="do not hang in a row"):
+        chain_lagrange(chain(3))
 
 
 # --- the parts -------------------------------------------------------------------------------------
@@ -157,7 +175,7 @@ def test_harmonic_balance_converges_spectrally_to_the_pendulum():
     errors = []
     for count in (2, 3, 4, 5):
         first = Series(np.ones((1, 1)), 3.8).padded(count)
-        found = harmonic_balance.correct(first, closed.linearised, at_one)
+        found = harmonic_balance.correct(first, balancing(closed), at_one)
         assert found is not None
         errors.append(abs(found[0].period - pendulum_period(1.0)))
     assert errors[-1] < 1e-8
@@ -174,8 +192,8 @@ def test_harmonic_balance_gives_up_on_nonsense():
     def singular(place: np.ndarray, _: float) -> tuple[float, np.ndarray, float]:
         return 1.0, np.zeros(1), 0.0
 
-    for row in (nowhere, singular):
-        assert harmonic_balance.correct(Series(np.ones((1, 1)), 3.8), closed.linearised, row) is None
+    for row, newton in itertools.product((nowhere, singular), (dense(closed.linearised), balancing(closed))):
+        assert harmonic_balance.correct(Series(np.ones((1, 1)), 3.8), newton, row) is None
 
 
 def test_a_closed_form_that_is_not_the_chains_is_noticed(twelve, monkeypatch):
@@ -210,7 +228,7 @@ def test_the_march_of_a_chain_is_the_ordinary_one_up_to_what_is_held():
     """Two segments from rest: states, ends and derivatives of one eighth-order march, columns by held rates left 0."""
     model, held = chain(12), np.arange(24) >= 12
     nodes = np.random.default_rng(5).normal(0, 0.2, (2, 24)) * ~held
-    place = nodes, uniform(0.25, 2, 32), np.array([1.5])
+    place = nodes, uniform(0.25, 2, 64), np.array([1.5])
     found, wanted = (march.varied(*place, states=True) for march in (
         ClosedChain(model, held), March(vector_field(model))))  # fmt: skip
     np.testing.assert_allclose(found.ends, wanted.ends, atol=1e-12)
@@ -370,7 +388,7 @@ def test_states_that_overflow_are_an_integration_error():
     with pytest.raises(IntegrationError, match="the state is not finite"):
         known.states(wild[None], uniform(1.0, 1, 8), np.ones(1))
     with pytest.raises(IntegrationError, match="the variations are not finite"):
-        known.variations(wild, np.full(8, 0.125), np.eye(24)[:, :2])
+        known.variations(np.zeros(24), 1.0, np.full((24, 2), 1e308))
 
 
 def test_a_falsified_long_orbit_fails_its_certificate(twelve):

@@ -257,12 +257,9 @@ class _Large:
     def point(self, point: Point, **where: Any) -> FamilyPoint:
         about, (free, period) = exponents(point.problem, point.w), freed(point)
         model, value = with_parameters(self.model, free), point.value(self.parameter)
-        count = samples_of(point)
-        mesh = np.linspace(0.0, 1.0, count + 1)
-        states, (closes, closure) = states_of(point, mesh), self._closes(point)
+        (mesh, states, every), (closes, closure) = sampled(point), self._closes(point)
         if not closes:
             raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {self.grown:.3g} times")
-        every = count // nodes_of(point)
         nodes, shares = states[:-1:every], mesh[::every]
         none = np.zeros(0)
         return FamilyPoint(
@@ -334,6 +331,12 @@ class _Large:
 def nodes_of(point: Point) -> int:
     """States at equal times, a power of two of them, that tell a series."""
     return 2 << int(np.ceil(np.log2(max(point.problem.basis.orders) + 1)))
+
+
+def sampled(point: Point) -> tuple[np.ndarray, np.ndarray, int]:
+    """Shares of a period, the states there, and every which of them tells a series."""
+    mesh = np.linspace(0.0, 1.0, samples_of(point) + 1)
+    return mesh, states_of(point, mesh), (mesh.size - 1) // nodes_of(point)
 
 
 def heading(point: Point) -> np.ndarray:
@@ -448,7 +451,9 @@ class _Direction:
         return record
 
     def write(self, point: Point, record: FamilyPoint) -> Mapping[str, Any]:
-        """Both in plain numbers."""
+        """Both in plain numbers, but for the states that the series tells."""
+        if isinstance(self.own, _Large):
+            record = replace(record, shooting_nodes=record.state[None])
         return {"w": point.w.vector, "tangent": point.tangent, "arclength": point.arclength, "step": point.step,
                 "orders": list(point.problem.basis.orders), "orbit": plain(record)}  # fmt: skip
 
@@ -457,6 +462,9 @@ class _Direction:
         problem, w = self.first.problem.on(tuple(entry["orders"]), np.array(entry["w"], float))
         point = Point(problem, w, np.array(entry["tangent"], float), float(entry["arclength"]), float(entry["step"]))
         record: FamilyPoint = restored(FamilyPoint, entry["orbit"])
+        if isinstance(self.own, _Large):
+            _, states, every = sampled(point)
+            record = replace(record, shooting_nodes=states[:-1:every])
         record = situated(record, 0, "", self.own.problem.model.system, self.own.entry)
         return point, record
 

@@ -88,6 +88,16 @@ def tableau(points: int = POINTS, rule: str = "radau") -> Tableau:
     return Tableau(places, inner, end, weights, difference)
 
 
+def gauss(points: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes (s), inner (s x s) and outer weights (s) of Gauss' rule on (0, 1), of any number of points: by Legendre's
+    polynomials P_k, the integral of which is (P_k+1 - P_k-1) / (2 k + 1)."""
+    nodes, weights = np.polynomial.legendre.leggauss(points)
+    values = np.polynomial.legendre.legvander(nodes, points)
+    before = np.hstack([-np.ones((points, 1)), values[:, : points - 1]])
+    inner = (values[:, 1:] - before) @ (values[:, :points] * weights[:, None]).T / 4
+    return (nodes + 1) / 2, inner, weights / 2
+
+
 @dataclass(frozen=True)
 class Stages:
     """Steps that were solved: their beginnings (P x d), parameters (P x (T, s, free)), stages Z (P x m x d), how these

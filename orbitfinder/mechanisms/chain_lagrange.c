@@ -3,16 +3,14 @@
    Off its diagonal OWN the coupling is m_ij = SHORT_i HEAVY_j for i < j: with it products with m and the solution of
    M a = r, M_ij = m_ij cos(q_i - q_j), take a number of operations that is proportional to LINKS. M is semiseparable of
    rank 2, its factors L D L^T those of D. Foreman-Mackey, E. Agol, S. Ambikasaran, R. Angus, Astronomical Journal 154
-   (2017) 220. Above this stand LINKS, COLUMNS (of variations, 0 or 2 LINKS), OWN, SHORT, HEAVY and WEIGHTS. */
+   (2017) 220. Above this stand LINKS, LANES, GROUP (of so many columns that are varied, 0 of none), OWN, SHORT, HEAVY and WEIGHTS. */
 #include <math.h>
 #include <stddef.h>
 #define casadi_int long long int
-#define LANES 16
 #define LINK(K) for (int K = 0; K < LINKS; K++)
 #define UP(K) for (int K = LINKS - 1; K >= 0; K--)
-#define LANE for (int l = 0; l < LANES; l++)
 
-typedef double Row[LANES];
+typedef double Row __attribute__((vector_size(8 * LANES), aligned(8)));
 
 /* What solutions with M need: cos, sin, D, and the s2 columns that L is made of. */
 typedef struct { double c[LINKS], s[LINKS], d[LINKS], along[LINKS], across[LINKS]; } Factors;
@@ -58,47 +56,51 @@ static void accelerations(const Factors *f, const double *v, double *a) {
   }
 }
 
-#if COLUMNS
-/* Y' of some columns (from `first` on) of Y, which are stored one after another: the slopes of M a + h at fixed a are
-   s m (alpha Y_q + beta Y_v) - c m (gamma Y_q + delta Y_v) + own Y_q. */
-static void varied(const Factors *f, const double *v, const double *a, const double *y, double *rate, int first) {
-  Row q[LINKS], w[LINKS], r[LINKS];
+#if GROUP
+/* Y' of Y (2 LINKS rows): the slopes of M a + h at fixed a are s m (alpha Y_q + beta Y_v) - c m (gamma Y_q + delta Y_v) +
+   own Y_q. */
+#define EVERY for (int g = 0; g < GROUP; g++)
+static void varied(const Factors *f, const double *v, const double *a, const Row *q, Row *rate) {
+  const Row *w = q + LINKS * GROUP;
+  Row *r = rate + LINKS * GROUP;
   double alpha[LINKS], beta[LINKS], gamma[LINKS], delta[LINKS], ma[LINKS], mg[LINKS];
-  const int count = COLUMNS - first < LANES ? COLUMNS - first : LANES;
-  LINK(i) LANE {
-    const double *column = y + (ptrdiff_t)(first + (l < count ? l : 0)) * 2 * LINKS;
-    q[i][l] = column[i], w[i][l] = column[LINKS + i];
-  }
   LINK(i) {
     double c = f->c[i], s = f->s[i], square = v[i] * v[i];
     alpha[i] = c * a[i] - s * square, gamma[i] = s * a[i] + c * square;
     beta[i] = 2.0 * c * v[i], delta[i] = 2.0 * s * v[i];
   }
   coupled(alpha, gamma, ma, mg);
-  Row s1 = {0}, s2 = {0};
-  UP(i) LANE {  /* what is farther out */
-    double x = alpha[i] * q[i][l] + beta[i] * w[i][l], z = gamma[i] * q[i][l] + delta[i] * w[i][l];
+  const Row none = {0};
+  Row s1[GROUP], s2[GROUP], s3[GROUP], s4[GROUP];
+  EVERY s1[g] = s2[g] = none;
+  UP(i) {  /* what is farther out */
     double own = f->c[i] * (WEIGHTS[i] + mg[i]) - f->s[i] * ma[i] - OWN[i] * v[i] * v[i];
-    r[i][l] = own * q[i][l] + SHORT[i] * (f->s[i] * s1[l] - f->c[i] * s2[l]);
-    s1[l] += HEAVY[i] * x, s2[l] += HEAVY[i] * z;
+    double sine = SHORT[i] * f->s[i], cosine = SHORT[i] * f->c[i];
+    EVERY {
+      const Row p = q[i * GROUP + g], u = w[i * GROUP + g];
+      r[i * GROUP + g] = own * p + (sine * s1[g] - cosine * s2[g]);
+      s1[g] += HEAVY[i] * (alpha[i] * p + beta[i] * u), s2[g] += HEAVY[i] * (gamma[i] * p + delta[i] * u);
+    }
   }
-  Row s3 = {0}, s4 = {0};
-  LANE s1[l] = s2[l] = 0.0;
-  LINK(i) LANE {  /* what is nearer, and L z = -r */
-    double c = f->c[i], s = f->s[i];
-    double x = alpha[i] * q[i][l] + beta[i] * w[i][l], z = gamma[i] * q[i][l] + delta[i] * w[i][l];
-    r[i][l] = -r[i][l] - HEAVY[i] * (s * s1[l] - c * s2[l]) - HEAVY[i] * (c * s3[l] + s * s4[l]);
-    s1[l] += SHORT[i] * x, s2[l] += SHORT[i] * z;
-    s3[l] += f->along[i] * r[i][l], s4[l] += f->across[i] * r[i][l];
+  EVERY s1[g] = s2[g] = s3[g] = s4[g] = none;
+  LINK(i) {  /* what is nearer, and L z = -r */
+    double sine = HEAVY[i] * f->s[i], cosine = HEAVY[i] * f->c[i];
+    EVERY {
+      const Row p = q[i * GROUP + g], u = w[i * GROUP + g];
+      const Row z = cosine * (s2[g] - s3[g]) - sine * (s1[g] + s4[g]) - r[i * GROUP + g];
+      s1[g] += SHORT[i] * (alpha[i] * p + beta[i] * u), s2[g] += SHORT[i] * (gamma[i] * p + delta[i] * u);
+      s3[g] += f->along[i] * z, s4[g] += f->across[i] * z;
+      r[i * GROUP + g] = z;
+    }
   }
-  LANE s3[l] = s4[l] = 0.0;
-  UP(i) LANE {
-    r[i][l] = r[i][l] / f->d[i] - (f->along[i] * s3[l] + f->across[i] * s4[l]);
-    s3[l] += HEAVY[i] * f->c[i] * r[i][l], s4[l] += HEAVY[i] * f->s[i] * r[i][l];
-  }
-  for (int l = 0; l < count; l++) LINK(i) {
-    double *column = rate + (ptrdiff_t)(first + l) * 2 * LINKS;
-    column[i] = w[i][l], column[LINKS + i] = r[i][l];
+  EVERY s3[g] = s4[g] = none;
+  UP(i) {
+    double part = 1.0 / f->d[i], sine = HEAVY[i] * f->s[i], cosine = HEAVY[i] * f->c[i];
+    EVERY {
+      const Row z = r[i * GROUP + g] * part - (f->along[i] * s3[g] + f->across[i] * s4[g]);
+      s3[g] += cosine * z, s4[g] += sine * z;
+      r[i * GROUP + g] = z, rate[i * GROUP + g] = w[i * GROUP + g];
+    }
   }
 }
 #endif
@@ -110,9 +112,8 @@ static int evaluated(const double **arg, double **res, casadi_int *iw, double *w
   factorised(&f, q);
   LINK(i) rate[i] = v[i];
   accelerations(&f, v, rate + LINKS);
-#if COLUMNS
-  for (int k = 0; k < COLUMNS; k += LANES)
-    varied(&f, v, rate + LINKS, q + 2 * LINKS, rate + 2 * LINKS, k);
+#if GROUP
+  varied(&f, v, rate + LINKS, (const Row *)(v + LINKS), (Row *)(rate + 2 * LINKS));
 #endif
   return 0;
 }

@@ -20,15 +20,17 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dposv, dpotrs
 
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.compiled import Unavailable
 from orbitfinder.integrate.field import CompiledField, VectorField, Work, as_table, with_dop853
 from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model
 
-AGREEMENT, ROUND_OFF, WIDEST = 1e-10, 1e-13, 40
+AGREEMENT, ROUND_OFF, WIDEST, LANES = 1e-10, 1e-13, 40, 8
 """The closed form must give the Model's energies to this, relative, at states it was not read from, in C its rates;
-error of the coupling that two numbers a link stand for, relative to its largest entry; columns varied together"""
+error of the coupling that two numbers a link stand for, relative to its largest entry; columns varied together at most,
+and those in a register"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +88,12 @@ class ChainLagrange:
         return factor, a, slopes
 
     def variational(self, _: float, z: np.ndarray) -> np.ndarray:
-        """z' for z = (x, vec Y), Y (2n x k) by columns: Y_q' = Y_v, M Y_v' = -(dr/dq Y_q + dr/dv Y_v)."""
+        """z' for z = (x, Y), Y (2n x k) row by row: Y_q' = Y_v, M Y_v' = -(dr/dq Y_q + dr/dv Y_v)."""
         n = self.weights.size
-        rate, rows = np.empty_like(z), z[2 * n :].reshape(-1, 2 * n)  # the rows are the columns of Y
+        columns = z[2 * n :].reshape(2 * n, -1)
         factor, a, slopes = self._slopes(z[:n], z[n : 2 * n])
-        rate[:n], rate[n : 2 * n] = z[n : 2 * n], a
-        rates = rate[2 * n :].reshape(-1, 2 * n)
-        rates[:, :n] = rows[:, n:]
-        np.negative(_backed(factor, (rows @ slopes.T).T).T, out=rates[:, n:])
-        return rate
+        bent = _backed(factor, np.asfortranarray(slopes @ columns))
+        return np.concatenate([z[n : 2 * n], a, columns[n:].ravel(), -bent.ravel()])
 
     def momentum_frame(self, x: np.ndarray) -> np.ndarray:
         """d(eta, pi)/d(q, v) (2n x 2n) at x, the canonical pair q = U eta, pi = U^T M v.
@@ -133,37 +132,45 @@ class ChainLagrange:
     @cached_property
     def width(self) -> int:
         """Columns that are varied together: in C as many as a cache holds along the stages of a step."""
-        return 2 * self.weights.size if self.varied_rates.library() is None else self._block
+        return self._whole if self.varied_rates.library() is None else min(WIDEST, self._whole)
 
     @property
-    def _block(self) -> int:
-        return -(-2 * self.weights.size // -(-2 * self.weights.size // WIDEST))
+    def _whole(self) -> int:
+        return -(-2 * self.weights.size // LANES) * LANES
 
     @cached_property
     def varied_rates(self) -> CompiledField:
         """`variational` of `width` columns, in C where there is a compiler."""
-        return _ClosedField(self.variational, Work("variations", lambda: self._code(self._block), np.inf))
+        return _ClosedField(self.variational, Work("variations", lambda: self._code(min(WIDEST, self._whole)), np.inf))
 
     def varied(self, columns: np.ndarray, march: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """The state (2n) and the columns of a matrix (2n x k) that a march of vec Y to (x, vec Y) ends with, `width` of
-        them at a time."""
+        """The state (2n) and the columns of a matrix (2n x k) that a march of Y to (x, Y) ends with, `width` of them at
+        a time."""
         count, ends = columns.shape[1], list[np.ndarray]()
         for first in range(0, count, self.width):
             some = columns[:, np.arange(first, first + self.width) % count]  # of the last block some come again
-            ends.append(march(some.ravel("F")).reshape(2 * self.weights.size, -1, order="F"))
-        return ends[0][:, 0], np.hstack([part[:, 1:] for part in ends])[:, :count]
+            ends.append(march(some.ravel()))
+        size = 2 * self.weights.size
+        return ends[0][:size], np.hstack([end[size:].reshape(size, -1) for end in ends])[:, :count]
+
+    @cached_property
+    def hanging(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """s and h (n each) with m_ij = s_i h_j for i < j; None where links do not hang in a row."""
+        above = np.triu(self.coupling, 1)
+        heavy = above[0]
+        short = (above @ heavy) / nonzero(np.cumsum((heavy**2)[::-1])[::-1] - heavy**2)
+        off = np.abs(np.triu(np.outer(short, heavy) - above, 1)).max(initial=0.0)
+        return (short, heavy) if off <= ROUND_OFF * np.abs(self.coupling).max() else None
 
     def _code(self, columns: int) -> str:
         """C of the field with variations of so many columns. Raises `Unavailable` where links do not hang in a row."""
-        heavy, ends = np.append(0.0, self.coupling[0, 1:]), self.coupling[:-1, -1]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            short = np.append(ends / ends[0], 0.0)
-        off = np.triu(np.outer(short, heavy) - self.coupling, 1)
-        if not np.abs(off).max(initial=0.0) <= ROUND_OFF * np.abs(self.coupling).max():
+        if self.hanging is None:
             raise Unavailable("links do not hang one on another")
+        short, heavy = self.hanging
         tables = {"OWN": np.diag(self.coupling), "SHORT": short, "HEAVY": heavy, "WEIGHTS": self.weights}
         own = (files("orbitfinder.mechanisms") / "chain_lagrange.c").read_text(encoding="utf-8")
-        lines = [f"#define LINKS {self.weights.size}", f"#define COLUMNS {columns}"]
+        sizes = {"LINKS": self.weights.size, "LANES": LANES, "GROUP": columns // LANES}
+        lines = [f"#define {name} {size}" for name, size in sizes.items()]
         return with_dop853("\n".join([*lines, *(as_table(*each) for each in tables.items()), own]))
 
     def energies(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -239,6 +246,8 @@ def chain_lagrange(model: Model) -> ChainLagrange:
 def _check(closed_form: ChainLagrange, model: Model) -> None:
     """`InputError` unless the closed form gives the Model's energies at random states."""
     n, values, random = closed_form.weights.size, model.parameter_values, np.random.default_rng(0)
+    if closed_form.hanging is None:
+        raise InputError("system: the links of this chain do not hang in a row")
     rest = float(model.potential(np.zeros(n), values)) + float(closed_form.weights.sum())
     for x in random.normal(0.0, 1.0, (3, 2 * n)):
         kinetic, potential = (float(part[0]) for part in closed_form.energies(x))

@@ -1,8 +1,7 @@
 """The motion of a long chain as a March: its states by the recursion, its variations in closed form.
 
-The state is marched by CasADi on the O(n) accelerations of the Model. Variations march in the closed form's C, O(n) a
-column; without a compiler they are a product of dense matrices at each stage, which costs a twelfth of what n
-directional derivatives of the recursion cost interpreted. Both march with the eighth-order coefficients of `rk8`.
+The state is marched by CasADi on the O(n) accelerations of the Model, with the eighth-order coefficients of `rk8`.
+Variations go by a few long steps of Gauss' method of high order, whose linear equations are solved in O(n) a column.
 """
 
 from __future__ import annotations
@@ -11,17 +10,21 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from scipy.integrate import DOP853
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
+from orbitfinder.integrate.collocation import gauss
 from orbitfinder.integrate.march import March, Varied, divided
 from orbitfinder.integrate.rk8 import AGREEMENT, one_step, refined
 from orbitfinder.mechanics.model import Model, field_apart, vector_field
 from orbitfinder.mechanisms.chain_lagrange import ChainLagrange, chain_lagrange
+from orbitfinder.mechanisms.chain_rows import gauss_step
 
 CHUNK = 8
 """Steps in one call, and numbers of steps are multiples of it: few, so that its memory stays in the cache"""
+STAGES, VARIED_PHASE, LAST = 3 * CHUNK - 1, 16.0, 1e-5
+"""Of a step of variations: stages, radians that the fastest linear mode turns in it at most, and what share of
+accelerations its last polynomial may be: its end is known to the square of that"""
 STALLED, ROUND_OFF = 4.0, 1e-10
 """Below ROUND_OFF halving the steps of an eighth-order march no longer helps where it gains less than STALLED"""
 
@@ -67,8 +70,8 @@ class ClosedChain(March):
         (count, size), each = nodes.shape, (mesh.size - 1) // len(nodes)
         path, transitions = self.states(nodes, mesh, tail), np.zeros((count, size, size))
         for k, node in enumerate(nodes):
-            steps = tail[0] * np.diff(mesh[k * each : (k + 1) * each + 1])
-            transitions[k][:, self.kept] = self.variations(node, steps, np.eye(size)[:, self.kept])
+            duration = tail[0] * (mesh[(k + 1) * each] - mesh[k * each])
+            transitions[k][:, self.kept] = self.variations(node, duration, np.eye(size)[:, self.kept])
         ends = path[each::each]
         by_period = self._by_period(nodes[None], ends[None], transitions[None], mesh[None, ::each], tail[None])[0]
         return Varied(ends, transitions, by_period[:, :, None], path if states else nodes, 0.0)
@@ -107,32 +110,26 @@ class ClosedChain(March):
 
         return refined(path, 1, settled)
 
-    def variations(self, state: np.ndarray, steps: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """The state-transition matrix times `directions` (2n x k) from `state` (2n), over steps of these lengths (s).
+    def variations(self, state: np.ndarray, duration: float, directions: np.ndarray) -> np.ndarray:
+        """The state-transition matrix times `directions` (2n x k) from `state` (2n), over a duration (s).
 
         Raises `IntegrationError` when the result is not finite.
         """
-        field, time = self.closed.varied_rates, np.zeros(1)
-
-        def march(columns: np.ndarray) -> np.ndarray:
-            z = np.concatenate([state, columns])
+        turned = float(np.sqrt(np.abs(self.closed.squared).max())) * abs(duration)
+        lengths = np.diff(np.concatenate([[0.0], gauss(STAGES)[0], [1.0]]))
+        columns, left = directions, max(1, int(np.ceil(turned / VARIED_PHASE)))
+        h = duration / left
+        while left:
+            path = self._path(state, h * lengths)
             with np.errstate(over="ignore", invalid="ignore"):
-                for h in steps:
-                    fast = field.stepped(time, z[None], np.array([h]))
-                    z = self._step(z, h) if fast is None else fast[0]
-            return z
-
-        _, columns = self.closed.varied(directions, march)
-        if not np.all(np.isfinite(columns)):
-            raise IntegrationError("the variations are not finite", time=0.0, state=np.asarray(state))
+                carried, share = gauss_step(self.closed, path[:-1], h, columns)
+            if not np.all(np.isfinite(carried)):
+                raise IntegrationError("the variations are not finite", time=0.0, state=np.asarray(state))
+            if share > LAST:
+                h, left = h / 2, 2 * left
+            else:
+                state, columns, left = path[-1], carried, left - 1
         return columns
-
-    def _step(self, z: np.ndarray, h: float) -> np.ndarray:
-        """The state and its variations after a step, without a compiler."""
-        slopes = np.empty((len(DOP853.A), z.size))
-        for k, row in enumerate(DOP853.A):
-            slopes[k] = self.closed.variational(0.0, z + h * (row[:k] @ slopes[:k]))
-        return np.asarray(z + h * (DOP853.B @ slopes))
 
     def disagreement(self, states: np.ndarray) -> float:
         """Largest relative difference at states (k x 2n) between closed form and recursion, its derivative taken by AD.
@@ -146,7 +143,9 @@ class ClosedChain(March):
         for state in states:
             direction = random.normal(0.0, 1.0, state.size)
             wanted = function(state, direction).full().reshape(2, -1)
-            both = np.concatenate([state, np.tile(direction, self.closed.width)])
-            rates = self.closed.varied_rates.many(np.zeros(1), both[None])[0, : 2 * state.size].reshape(2, -1)
+            columns = np.tile(direction[:, None], self.closed.width)
+            both = np.concatenate([state, columns.ravel()])
+            rate, *varied = np.split(self.closed.varied_rates.many(np.zeros(1), both[None])[0], [state.size])
+            rates = np.array([rate, varied[0].reshape(columns.shape)[:, 0]])
             apart = max(apart, float((np.abs(rates - wanted).max(1) / np.abs(wanted).max(1)).max()))
         return apart

@@ -27,6 +27,7 @@ from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms.chain_lagrange import ChainLagrange, is_long
 from orbitfinder.mechanisms.chain_march import CHUNK, ClosedChain
+from orbitfinder.mechanisms.chain_rows import balancing
 from orbitfinder.orbits.floquet import Floquet, analyse, reduce_monodromy, symplectic_unit
 from orbitfinder.orbits.guesses.balance import (
     FEWEST,
@@ -45,9 +46,8 @@ from orbitfinder.records.orbit import Orbit
 SAMPLES = 512
 """Intervals of the dense samples over a period."""
 NODES = 8
-PATH_PHASE, NEWTON_PHASE, MULTIPLIER_PHASE = 0.5, 1.0, 0.3
-"""Radians of the fastest linear mode in a step. Relative errors of the variations at 100 links: 2e-5 at 1
-(enough for a Newton matrix), 2e-9 at 0.3."""
+PATH_PHASE, NEWTON_PHASE = 0.5, 1.0
+"""Radians of the fastest linear mode in a step"""
 DIRECT = 0.05
 """A guess that misses q = 0 by less than this, relative, after a quarter of its period is corrected directly."""
 AGREEMENT = 1e-8
@@ -133,7 +133,7 @@ def balanced(chain: Chain, report: Callable[[str, int, float, float], None]) -> 
         report(f"harmonic balance at {fraction:.3f} of the pin", len(found.coefficients), found.tail, found.period)
 
     closed = chain.closed
-    found = along_family(chain.problem, closed.squared, closed.modes, closed.linearised, chain.pin, told)
+    found = along_family(chain.problem, closed.squared, closed.modes, balancing(closed), chain.pin, told)
     if found is not None:
         return found
     raise ConvergenceError(
@@ -159,7 +159,7 @@ def _from_guess(chain: Chain) -> Series | None:
     orders = 2 * np.arange(count) + 1
     cosines = np.cos(np.outer(orders, orders) * np.pi / (4 * count))
     series = Series(2 / count * cosines.T @ spline(orders * np.pi / (4 * count)), 2 * np.pi / guess.period)
-    found = resolved(series, chain.closed.linearised, chain.pin(chain.problem.pin[0]), FINE_TAIL)
+    found = resolved(series, balancing(chain.closed), chain.pin(chain.problem.pin[0]), FINE_TAIL)
     return found[0] if found is not None and near(series, found[0]) else None
 
 
@@ -200,8 +200,7 @@ def multipliers(chain: Chain, first: np.ndarray, last: np.ndarray, period: float
     A^-1 = -J A^T J by symplecticity, so that the pair defect of W^2 is a true error bar.
     """
     n, closed = first.size // 2, chain.closed
-    steps = period * np.diff(chain.mesh(FRACTION, period, MULTIPLIER_PHASE))
-    columns = chain.march.variations(first, steps, np.kron(np.eye(2), closed.modes))
+    columns = chain.march.variations(first, FRACTION * period, np.kron(np.eye(2), closed.modes))
     matrix = closed.carried(first, last, columns)
     unit = symplectic_unit(n)
     half, _ = chain.problem.boundary.root(matrix, lambda other: -unit @ matrix.T @ unit @ other, 2 * n)
@@ -212,12 +211,14 @@ def multipliers(chain: Chain, first: np.ndarray, last: np.ndarray, period: float
 
 
 def measured(chain: Chain, start: np.ndarray, period: float) -> Orbit:
-    """The Orbit (without certificate) that starts at rest at `start` (n): the second half of its period is the first,
-    reflected, and it closes as well as the first does."""
+    """The Orbit (without certificate) that starts at rest at `start` (n): a quarter of its period, the same backwards
+    and reflected, and both of these reflected, which join up to twice q(T/4)."""
     problem = chain.problem
-    mesh = chain.mesh(0.5, period, PATH_PHASE, SAMPLES // 2)
-    half = chain.march.refined(_at_rest(start)[0], mesh, np.array([period]))[:: 2 * mesh.size // SAMPLES]
+    mesh = chain.mesh(FRACTION, period, PATH_PHASE, SAMPLES // 4)
+    quarter = chain.march.refined(_at_rest(start)[0], mesh, np.array([period]))[:: 4 * mesh.size // SAMPLES]
+    half = np.vstack([quarter, quarter[-2::-1] * np.repeat([-1.0, 1.0], start.size)])
     states = np.vstack([half[:-1], -half])
+    end = states[-1] + 2 * quarter[-1] * np.repeat([1.0, 0.0], start.size)
     times = np.linspace(0.0, period, SAMPLES + 1)
     apart = chain.march.disagreement(states[: SAMPLES // 4 + 1 : SAMPLES // 16])
     if not apart < AGREEMENT:
@@ -226,6 +227,6 @@ def measured(chain: Chain, start: np.ndarray, period: float) -> Orbit:
             f"by {apart:.2g}, relative; please report this with the problem file"
         )
     return recorded(
-        problem, period, states[-1], states[: -1 : SAMPLES // NODES], times, states, np.zeros(0),
+        problem, period, end, states[: -1 : SAMPLES // NODES], times, states, np.zeros(0),
         action(problem.model, times, states), multipliers(chain, states[0], states[SAMPLES // 4], period),
     )  # fmt: skip

@@ -209,6 +209,10 @@ def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarra
     frequencies, decays = seen.frequencies, seen.decays
     worth = np.abs(harmonics[:, 1:]).max(axis=0, initial=0.0)
     rest, picked = -0.5 * seen.least, dict[int, float]()  # where c is less than half of what would let it grow
+    upper = np.triu_indices(frequencies.size)
+    between, allowed = (np.sqrt(np.outer(x, x))[upper] for x in (frequencies, decays))
+    upper = np.triu_indices(frequencies.size)
+    between, allowed = (np.sqrt(np.outer(x, x))[upper] for x in (frequencies, decays))
     for k in np.flatnonzero(worth > ROUND_OFF * worth.max(initial=0.0)) + 1:
         coupling = np.zeros((frequencies.size, frequencies.size))
         for kind in (0, 1):
@@ -216,9 +220,10 @@ def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarra
             sides = seen.shapes[moving[own, 0]], seen.shapes[moving[own, 1]]
             part = np.abs((sides[0] * harmonics[own, k, None]).T @ sides[1])
             coupling += part * (frequencies if kind else 1.0)
-        coupling = MARGIN * (coupling + coupling.T) / (4 * np.sqrt(np.outer(frequencies, frequencies)))
-        i, j = np.nonzero(np.triu(coupling**2 > 0.25 * np.outer(decays, decays)))
-        c, off = coupling[i, j], frequencies[i] + frequencies[j] - k * period
+        most = MARGIN * (coupling + coupling.T)[upper] / (4 * between)
+        strong = np.flatnonzero(most > 0.5 * allowed)
+        i, j, c = upper[0][strong], upper[1][strong], most[strong]
+        off = frequencies[i] + frequencies[j] - k * period
         grown = np.sqrt((0.5 * (decays[i] - decays[j] + 1j * off)) ** 2 + c**2).real - 0.5 * (decays[i] + decays[j])
         rest = max(rest, float(grown[grown <= 0].max(initial=-np.inf)))
         for mode, reach in zip((*i[grown > 0], *j[grown > 0]), (*c[grown > 0], *c[grown > 0]), strict=True):

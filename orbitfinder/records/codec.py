@@ -114,7 +114,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
+        return list(value) if set(map(type, value)) <= {float, int, str, bool} else [plain(entry) for entry in value]
     return entries_of(value) if dataclasses.is_dataclass(value) else plain_numbers(value)
 
 

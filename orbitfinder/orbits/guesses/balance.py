@@ -31,6 +31,8 @@ from orbitfinder.orbits.guesses.modes import normal_modes
 
 Accelerations = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 """(q, v) -> a (n), da/dq, da/dv (n x n each)"""
+Stepper = Callable[["Series", "PinRow"], np.ndarray]
+"""Newton's step of coefficients and frequency (N n + 1); raises `LinAlgError` where there is none"""
 PinRow = Callable[[np.ndarray, float], tuple[float, np.ndarray, float]]
 """(q(0), T) -> residual of the pin and its derivatives in q(0) (n) and in T, for a start at rest"""
 
@@ -40,7 +42,7 @@ TAIL = 1e-3
 """Harmonics are doubled until the last quarter of them is below this, rad (or m)"""
 FINE_TAIL = 1e-5
 MOST_UNKNOWNS = 3200
-"""N n stays below this: the dense matrix has its square of entries, 82 MB"""
+"""N n stays below this: a dense matrix has its square of entries, 82 MB"""
 FEWEST = 6
 LARGEST_CORRECTION = 0.2
 """A step is halved where Newton moves a coefficient further than this from the prediction"""
@@ -67,6 +69,14 @@ class Series:
     def start(self) -> np.ndarray:
         """q(0) (n), where the motion is at rest."""
         return np.asarray(self.coefficients.sum(axis=0))
+
+    @property
+    def nodal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What takes the coefficients to q, q' and q'' at the nodes (N x N each)."""
+        orders, w = 2 * np.arange(len(self.coefficients)) + 1, self.frequency
+        angles = np.outer(orders, orders) * np.pi / (4 * orders.size)
+        cosines = np.cos(angles)
+        return cosines, -w * (orders * np.sin(angles)), -(w**2) * (cosines * orders**2)
 
     @property
     def tail(self) -> float:
@@ -99,63 +109,67 @@ def most_harmonics(coordinates: int) -> int:
     return max(FEWEST, MOST_UNKNOWNS // coordinates)
 
 
-def correct(
-    series: Series, accelerations: Accelerations, pin: PinRow, settings: Settings = NEWTON
-) -> tuple[Series, int] | None:
+def correct(series: Series, newton: Stepper, pin: PinRow, settings: Settings = NEWTON) -> tuple[Series, int] | None:
     """Newton's method from a prediction: the solution and its iterations, or None where it does not converge."""
 
     def step(series: Series) -> np.ndarray:
-        matrix, rows = _system(series, accelerations, pin)
-        if series.frequency <= 0 or not (np.all(np.isfinite(rows)) and np.all(np.isfinite(matrix))):
-            return np.full(rows.size, np.nan)
         try:
-            return np.asarray(solve(matrix.T, -rows, overwrite_a=True, check_finite=False, transposed=True))
+            moved = newton(series, pin) if series.frequency > 0 else None
         except (LinAlgError, LinAlgWarning):
-            return np.full(rows.size, np.nan)
+            moved = None
+        return np.full(series.coefficients.size + 1, np.nan) if moved is None else moved
 
     solved = stepped(series, step, settings, Series.moved)
     return (solved.w, solved.count) if solved.converged else None
 
 
+def dense(accelerations: Accelerations) -> Stepper:
+    """Newton's steps by the matrix of all rows q'' - a(q, q') at the nodes and the pin's."""
+
+    def step(series: Series, pin: PinRow) -> np.ndarray:
+        matrix, rows = _system(series, accelerations, pin)
+        if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(matrix))):
+            raise LinAlgError("rows that are no numbers")
+        return np.asarray(solve(matrix.T, -rows, overwrite_a=True, check_finite=False, transposed=True))
+
+    return step
+
+
 def _system(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[np.ndarray, np.ndarray]:
     """The Newton matrix (N n + 1 square) and the residuals q'' - a(q, q') at the nodes, then the pin's."""
-    coefficients, w = series.coefficients, series.frequency
-    count, n = coefficients.shape
-    orders = 2 * np.arange(count) + 1
-    angles = np.outer(orders, orders) * np.pi / (4 * count)
-    cosines, sines = np.cos(angles), orders * np.sin(angles)
-    curvature = -(cosines * orders**2)
-    q, v, bend = cosines @ coefficients, -w * sines @ coefficients, curvature @ coefficients
+    count, n = series.coefficients.shape
+    place, rate, bend = series.nodal
+    q, v, curved = (part @ series.coefficients for part in series.nodal)
     matrix, rows = np.zeros((count * n + 1, count * n + 1)), np.zeros(count * n + 1)
     blocks = matrix[:-1, :-1].reshape(count, n, count, n)
     diagonal = np.arange(n)
     for k in range(count):
         a, by_place, by_rate = accelerations(q[k], v[k])
-        rows[k * n : (k + 1) * n] = w**2 * bend[k] - a
+        rows[k * n : (k + 1) * n] = curved[k] - a
         for j in range(count):
             block = blocks[k, :, j, :]
-            block[...] = w * sines[k, j] * by_rate - cosines[k, j] * by_place
-            block[diagonal, diagonal] += w**2 * curvature[k, j]
-        matrix[k * n : (k + 1) * n, -1] = 2 * w * bend[k] - by_rate @ v[k] / w
+            block[...] = -rate[k, j] * by_rate - place[k, j] * by_place
+            block[diagonal, diagonal] += bend[k, j]
+        matrix[k * n : (k + 1) * n, -1] = (2 * curved[k] - by_rate @ v[k]) / series.frequency
     rows[-1], by_start, by_period = pin(series.start, series.period)
     matrix[-1, :-1] = np.tile(by_start, count)
-    matrix[-1, -1] = -by_period * series.period / w
+    matrix[-1, -1] = -by_period * series.period / series.frequency
     return matrix, rows
 
 
-def resolved(series: Series, accelerations: Accelerations, pin: PinRow, tail: float) -> tuple[Series, int] | None:
+def resolved(series: Series, newton: Stepper, pin: PinRow, tail: float) -> tuple[Series, int] | None:
     """The solution with as many harmonics as its tail asks for (or the memory allows); iterations of the first."""
-    solved = correct(series, accelerations, pin)
+    solved = correct(series, newton, pin)
     first = None if solved is None else solved[1]
     most = most_harmonics(series.coefficients.shape[1])
     while solved is not None and solved[0].tail > tail and len(solved[0].coefficients) < most:
-        solved = correct(solved[0].padded(min(2 * len(solved[0].coefficients), most)), accelerations, pin)
+        solved = correct(solved[0].padded(min(2 * len(solved[0].coefficients), most)), newton, pin)
     return None if solved is None or first is None else (solved[0], first)
 
 
 def follow(
     start: Series,
-    accelerations: Accelerations,
+    newton: Stepper,
     pin: Callable[[float], PinRow],
     report: Callable[[float, Series], None],
     growth: float,
@@ -170,7 +184,7 @@ def follow(
 
     def corrected(fraction: float) -> tuple[Series, int]:
         guess = _predicted(known, fraction)
-        solved = resolved(guess, accelerations, pin(fraction), TAIL)
+        solved = resolved(guess, newton, pin(fraction), TAIL)
         if solved is None or not near(guess, solved[0]):
             raise ConvergenceError("the family is lost")
         report(fraction, solved[0])
@@ -178,14 +192,14 @@ def follow(
 
     try:
         pace = Pace(FIRST_STEP, SMALLEST_STEP, LARGEST_STEP, quick=QUICK, growth=growth)
-        return _finer(reached(known, 1.0, corrected, pace), accelerations, pin(1.0))
+        return _finer(reached(known, 1.0, corrected, pace), newton, pin(1.0))
     except ConvergenceError:
         return None
 
 
-def _finer(series: Series, accelerations: Accelerations, pin: PinRow) -> Series:
+def _finer(series: Series, newton: Stepper, pin: PinRow) -> Series:
     """The same solution with a finer tail, itself where that fails."""
-    fine = resolved(series, accelerations, pin, FINE_TAIL)
+    fine = resolved(series, newton, pin, FINE_TAIL)
     return series if fine is None else fine[0]
 
 
@@ -213,7 +227,7 @@ def balanced_guess(problem: Problem) -> Guess | None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         series = along_family(
-            problem, squared, shapes, linearised(problem.model), pins(Equations(problem.model, QUARTER))
+            problem, squared, shapes, dense(linearised(problem.model)), pins(Equations(problem.model, QUARTER))
         )
     return None if series is None else Guess(np.append(series.start, np.zeros(series.start.size)), series.period)
 
@@ -262,7 +276,7 @@ def along_family(
     problem: Problem,
     squared: np.ndarray,
     shapes: np.ndarray,
-    accelerations: Accelerations,
+    newton: Stepper,
     pinned: Callable[[Pin], PinRow],
     report: Callable[[float, Series], None] = lambda *_: None,
 ) -> Series | None:
@@ -286,9 +300,9 @@ def along_family(
     if linear is None:
         return None
     for growth in GROWTHS:
-        series = follow(linear, accelerations, at, report, growth)
+        series = follow(linear, newton, at, report, growth)
         if series is not None and pin.name == "period":
-            again = resolved(series, accelerations, pinned(pin), FINE_TAIL)
+            again = resolved(series, newton, pinned(pin), FINE_TAIL)
             series = None if again is None else again[0]
         if series is not None:
             return series
