@@ -25,6 +25,7 @@ from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.facts import told
 from orbitfinder.show.html import certificate_html
+from orbitfinder.show.scene import solids_of
 from orbitfinder.studio import plots
 from orbitfinder.studio.beside import RestPanel, SearchPanel, SectionPanel
 from orbitfinder.studio.desk import ROOMY, Desk, Staged, button
@@ -98,7 +99,9 @@ class Page(Desk):
         await client.connected()
         self.dark = bool(await ui.run_javascript("matchMedia('(prefers-color-scheme: dark)').matches", timeout=10))
         self._recoloured(self.dark)
-        ui.run_javascript(f"stage.mount('stage', {self._holds()})")
+        solids = [f"orbitfinder.put({json.dumps(name)}, {json.dumps(entry)});"
+                  for name, entry in solids_of(self.session.model.system).items()]  # fmt: skip
+        ui.run_javascript(f"{''.join(solids)}stage.mount('stage', {self._holds()})")
         await self._first()
 
     def close(self) -> None:
