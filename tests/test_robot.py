@@ -14,7 +14,9 @@ from click.testing import CliRunner
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import Hint, InputError
+from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanisms import shapes
+from orbitfinder.problemfile.write import orbit_text
 
 pytest.importorskip("urdf_parser_py")
 mujoco = pytest.importorskip("mujoco")
@@ -227,6 +229,20 @@ def test_links_look_as_their_files_say(tmp_path):
         at = np.array(solids[name][:3]) + at * solids[name][3:6]
         assert len(at) == 6 and np.abs(at[:, None] - wanted).max(axis=2).min(axis=0).max() < 1e-5
         assert len(seen) == len(faces) and volume(at, seen) == pytest.approx(0.004, rel=1e-3)  # its outside is outside
+    guess = {
+        "name": "arm",
+        "system": model.system,
+        "state": [0.1] * 10,
+        "period": 1.0,
+        "energy": None,
+        "provenance": {},
+    }
+    (tmp_path / "again.toml").write_text(orbit_text(guess, expected=False))
+    again = of.load_problem(tmp_path / "again.toml").model  # as the studio's searches do
+    assert again.system["drawn"] == model.system["drawn"] and again.strokes == model.strokes
+    wrong = {**solids, "l0": [*solids["l0"][:7], "AAAA"]}
+    with pytest.raises(InputError, match="drawn.solids.l0: is no solid of a body in space"):
+        build_model({**model.system, "drawn": {"solids": wrong}})
     kinds = [kind for kind, _ in model.strokes]
     assert kinds.count("solid") == 5 and kinds.count("bone") == 4 and kinds.count("rod") == 1
     for broken in (b"", b"solid\nvertex 1 2\n", b"vertex 1 2 x"):

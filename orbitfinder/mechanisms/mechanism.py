@@ -40,6 +40,7 @@ from orbitfinder.mechanics.lagrange import (
 from orbitfinder.mechanics.model import Baumgarte, Model
 from orbitfinder.mechanics.scales import with_units
 from orbitfinder.mechanisms.closing import LoopClosure, Table, independent_rows_at, point_sizes
+from orbitfinder.mechanisms.shapes import undescribed
 
 GROUND = "ground"
 KEYS = {
@@ -1043,11 +1044,16 @@ def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], 
 
 def _solids(made: _Drawing) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Of every body whose shape is known the centre of the box about it and half its sides (3 each, m)."""
-    boxes = dict[str, tuple[np.ndarray, np.ndarray]]()
-    for name, entry in dict(made.tables("drawn").get("solids", {})).items():
-        six = [_number(f"drawn.solids.{name}", number) for number in list(entry)[:6]]
-        if name not in made.bodies or len(entry) != 8 or made.dimension != 3:
-            raise InputError(f"drawn.solids.{name}: must be six numbers and two texts of a body in space; leave it out")
+    boxes, solids = dict[str, tuple[np.ndarray, np.ndarray]](), made.tables("drawn").get("solids")
+    for name, entry in solids.items() if isinstance(solids, Mapping) else ():
+        try:
+            corners, faces = undescribed(entry)
+            sound = name in made.bodies and made.dimension == 3 and faces.max(initial=0) < len(corners)
+        except (TypeError, ValueError):
+            sound = False
+        if not sound:
+            raise InputError(f"drawn.solids.{name}: is no solid of a body in space; take it out")
+        six = [_number(f"drawn.solids.{name}", number) for number in entry[:6]]
         boxes[name] = np.array(six[:3]), np.array(six[3:])
     return boxes
 

@@ -258,5 +258,6 @@ def solids_of(system: Mapping[str, Any]) -> dict[str, list[list[Any]]]:
     """The shapes of a robot's bodies in the order of their strokes, see `shapes.described`, by a name of all that pages
     keep them by; {} where nothing is known of them."""
     drawn = system.get("drawn")
-    solids = [*drawn.get("solids", {}).values()] if isinstance(drawn, Mapping) else []
+    table = drawn.get("solids") if isinstance(drawn, Mapping) else None
+    solids = [*table.values()] if isinstance(table, Mapping) else []
     return {f"solids-{hashlib.sha256(repr(solids).encode()).hexdigest()[:16]}": solids} if solids else {}
