@@ -663,6 +663,7 @@ def test_joints_of_a_linkage_are_pulled_as_far_as_its_bars_reach(tmp_path):
         tab.until(f"return /close return/.test({words}) && {words} !== {json.dumps(before)}")
         moved = tab.ask("stage.rewind(); return stage.joint(1)")
         assert 8 < np.hypot(*(np.array(moved) - place)) < 30
+        assert tab.pulled_between(1, 20, 10) < 2
         tab.drag(1, 20, -20, flick=True)
         assert tab.driver.get_log("browser") == []
         tab.click("own")
