@@ -436,6 +436,9 @@ def test_the_page_is_served_to_whoever_knows_the_address_here_only(server, tmp_p
             return error.code
 
     assert status(f"/{token}") == 200 and status(f"/{token}/site/core.js") == 200
+    page = urllib.request.urlopen(f"{base}/{token}").read().decode()  # what is painted first, before all else is built
+    assert '<p class="opening"' in page and len(page) < 20_000
+    assert re.findall(r"<script (?!defer|type=)[^>]*src", page) == []
     assert status("/") == status(f"/{token[:-1]}") == status("/site/core.js") == 404
     assert status(f"/{token}", Host="evil.example") == 400
     port = base.rpartition(":")[2]
