@@ -558,6 +558,10 @@ def potential(tmp_path_factory):
 
 def test_motions_of_a_section_have_addresses_and_zoom(browser, potential):
     page = next((potential / "sections").glob("*.html"))
+    go(browser, page, 390, "dark")
+    assert ask(browser, "overflow") == [] and ask(browser, "nameless") == []
+    found = ask(browser, "texts")
+    assert len(found) > 10 and [text for text in found if text[0] < 4.5] == []
     go(browser, page)
     find(browser, "#next").click()
     wait(browser, "return location.hash === '#motion=2'")
