@@ -115,6 +115,33 @@ class Tab:
         (moves if flick else moves.pause(0.25)).release().perform()
         self.until(f"return stage.shown > {before}")
 
+    def pulled_between(self, joint, across, down):
+        """Pull a joint with a hand that moves between an answer and its picture: how far (px) from there is where it is
+        told to be when it is let go of."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        place = self.ask("stage.rewind(); return stage.joint(arguments[0])", joint)
+        scale, *start = self.ask(f"""const emit = window.emitEvent, show = stage.show, s = orbitfinder.player.scenes[0];
+            let last = null;
+            addEventListener('pointermove', event => {{ last = event; }}, true);
+            window.emitEvent = (name, what) => {{
+              window.there = what.velocity && what.place;
+              return emit(name, what); }};
+            stage.show = (...film) => {{
+              show(...film);
+              s.canvas.dispatchEvent(new PointerEvent('pointermove', last)); }};
+            const m = s.motion, now = m.at(0);
+            return [s.scale, now[{joint}], now[{joint} + m.points]]""")
+        canvas, before = self.driver.find_element("id", "stage"), self.ask("return stage.shown")
+        size, moves = canvas.rect, ActionChains(self.driver, duration=20)
+        away = (round(x - size[side] / 2) for x, side in zip(place, ("width", "height"), strict=True))
+        moves.move_to_element_with_offset(canvas, *away)
+        moves.click_and_hold().move_by_offset(across, down).perform()
+        self.until(f"return stage.shown > {before}")
+        ActionChains(self.driver, duration=20).release().perform()
+        there = self.until("return window.there")
+        return scale * np.abs(np.array(there) - start - np.array([down, across]) / scale).max()
+
     def escape(self):
         from selenium.webdriver.common.action_chains import ActionChains
         from selenium.webdriver.common.keys import Keys

@@ -558,6 +558,10 @@ def potential(tmp_path_factory):
 
 def test_motions_of_a_section_have_addresses_and_zoom(browser, potential):
     page = next((potential / "sections").glob("*.html"))
+    go(browser, page, 390, "dark")
+    assert ask(browser, "overflow") == [] and ask(browser, "nameless") == []
+    found = ask(browser, "texts")
+    assert len(found) > 10 and [text for text in found if text[0] < 4.5] == []
     go(browser, page)
     find(browser, "#next").click()
     wait(browser, "return location.hash === '#motion=2'")
@@ -658,8 +662,9 @@ def test_lines_of_equal_potential_lie_under_a_motion(browser, potential):
 
 @pytest.fixture(scope="module")
 def spatial(tmp_path_factory):
-    """A site with a spherical pendulum that turns and an orbit between Earth and Moon."""
+    """A site with a spherical pendulum that turns, an orbit between Earth and Moon, and a robot's leg."""
     files = [SHIPPED.parent / "gallery" / name / "orbit.json" for name in ("spherical-pendulum", "three-body-lyapunov")]
+    files.append(SHIPPED.parents[1] / "docs" / "gallery" / "orbits" / "robots-a1-leg.json")
     site_, _ = build_site(gather(files), SiteSettings(verify=False))
     out = tmp_path_factory.mktemp("spatial") / "site"
     write_site(site_.files, out)
@@ -671,7 +676,7 @@ INK = """const d = s.pen.getImageData(0, 0, s.canvas.width, s.canvas.height).dat
 for (let k = 3; k < d.length; k += 4) n += d[k] > 0; return n"""
 
 
-@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize("width", [390, pytest.param(1400, marks=pytest.mark.slow)])
 def test_what_moves_in_space_is_turned_by_hand_and_by_keys(browser, spatial, width):
     """The rod is as long in the picture as turning its three coordinates says; the time goes on where it was."""
     go(browser, spatial / "spherical-pendulum.html", width, motion="reduce")
@@ -695,6 +700,32 @@ def test_what_moves_in_space_is_turned_by_hand_and_by_keys(browser, spatial, wid
     stage.send_keys(webdriver.Keys.HOME)
     wait(browser, f"{SEEN} return !orbitfinder.player.stale && s.width > 0")
     assert browser.execute_script(seen) == first and ask(browser, "overflow") == []
+
+
+def test_a_robot_is_seen_by_its_solids_the_nearer_before_the_farther(browser, spatial):
+    """All that is drawn is within the picture; bodies hide each other by their depth; without solids they are lines."""
+    browser.get_log("browser")
+    go(browser, spatial / "a1-leg.html", motion="reduce")
+    page = spatial.parent / "data" / "orbits" / "a1-leg.js"
+    assert page.stat().st_size < 80_000 and page.read_text().count("orbitfinder.put") == 2
+    seen = f"""{SEEN} const w = s.dots.width, at = [];
+        new Uint32Array(s.dots.data.buffer).forEach((dot, k) => {{ if (dot) at.push(k % w); }});
+        const [low, high] = [Math.min, Math.max].map(end => at.reduce((a, b) => end(a, b)));
+        return [w, s.dots.height, at.length, low, high]"""
+    wide, high, dots, left, right = browser.execute_script(seen)
+    assert 0.03 < dots / (wide * high) < 0.5 and 0 < left < right < wide - 1 and browser.get_log("browser") == []
+    depths = browser.execute_script(f"""{SEEN} const now = m.at(0);
+        return m.strokes.filter(one => one[0] === 'solid').map(one => {{
+          const at = s.point(now, one[1][0]), k = Math.round(2 * at[1]) * s.dots.width + Math.round(2 * at[0]);
+          return [at[2] * 2 * s.scale, s.depths[k]]; }})""")
+    assert len(depths) == 4 and all(near > middle + 2 for middle, near in depths)  # of each its middle is inside
+    ink = browser.execute_script(f"{SEEN} {INK}")
+    browser.execute_script(
+        f"{SEEN} s.dots = null; delete orbitfinder.data[m.around.solids]; orbitfinder.player.stale = true"
+    )
+    wait(browser, "return !orbitfinder.player.stale")
+    assert browser.execute_script(f"{SEEN} return s.dots === null")
+    assert browser.execute_script(f"{SEEN} {INK}") < 0.8 * ink
 
 
 def test_a_relative_orbit_goes_on_turning_over_the_end_of_its_period(browser, spatial):

@@ -49,6 +49,14 @@ def test_both_descriptions_of_a_mechanism_follow_the_hand_alike(file, point):
     assert movable(native.model, first) == movable(least.model, second)
 
 
+def test_a_point_goes_as_near_as_it_can_to_a_place_that_it_cannot_reach():
+    model, start = minimal_problem(load_problem(PROBLEMS / "linkages" / "four-bar-rocking.toml")).model, [0.6, 0.0]
+    place = np.array([0.428815223537083, 0.3126474931745504])  # steps that help in a row leave hardly any damping
+    near = pulled(model, np.array(start), 2, place)
+    far = [np.linalg.norm(at(model, np.array([near[0] + turn, 0.0]), 2) - place) for turn in (-0.03, 0.0, 0.03)]
+    assert far[1] == min(far) < np.linalg.norm(at(model, np.array(start), 2) - place)
+
+
 def test_what_moves_in_space_is_pulled_and_thrown_in_space():
     model, start = load_problem(PROBLEMS / "mechanisms" / "furuta.toml").model, np.array([0.0, 1.2, 0.0, 0.0])
     tip = positions(model, start[None], "space").shape[2] - 1

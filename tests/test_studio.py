@@ -436,6 +436,9 @@ def test_the_page_is_served_to_whoever_knows_the_address_here_only(server, tmp_p
             return error.code
 
     assert status(f"/{token}") == 200 and status(f"/{token}/site/core.js") == 200
+    page = urllib.request.urlopen(f"{base}/{token}").read().decode()  # what is painted first, before all else is built
+    assert '<p class="opening"' in page and len(page) < 20_000
+    assert re.findall(r"<script (?!defer|type=)[^>]*src", page) == []
     assert status("/") == status(f"/{token[:-1]}") == status("/site/core.js") == 404
     assert status(f"/{token}", Host="evil.example") == 400
     port = base.rpartition(":")[2]
@@ -663,6 +666,7 @@ def test_joints_of_a_linkage_are_pulled_as_far_as_its_bars_reach(tmp_path):
         tab.until(f"return /close return/.test({words}) && {words} !== {json.dumps(before)}")
         moved = tab.ask("stage.rewind(); return stage.joint(1)")
         assert 8 < np.hypot(*(np.array(moved) - place)) < 30
+        assert tab.pulled_between(1, 20, 10) < 2
         tab.drag(1, 20, -20, flick=True)
         assert tab.driver.get_log("browser") == []
         tab.click("own")

@@ -40,6 +40,7 @@ from orbitfinder.mechanics.lagrange import (
 from orbitfinder.mechanics.model import Baumgarte, Model
 from orbitfinder.mechanics.scales import with_units
 from orbitfinder.mechanisms.closing import LoopClosure, Table, independent_rows_at, point_sizes
+from orbitfinder.mechanisms.shapes import undescribed
 
 GROUND = "ground"
 KEYS = {
@@ -989,7 +990,8 @@ def _across(axis: ca.SX) -> list[ca.SX]:
 
 
 def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], ...]]:
-    """Points (2 x k, in space 3 x k) and what is drawn through which: ground, spring, rod (a body), slider, disc."""
+    """Points (2 x k, in space 3 x k) and what is drawn through which: ground, spring, rod (a body), slider, disc, solid
+    (centre and three sides of the box about it) with a bone for a rod."""
     columns: list[ca.SX] = []
     strokes: list[tuple[str, tuple[int, ...]]] = []
 
@@ -997,6 +999,10 @@ def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], 
         columns.append(made.point(body, at))
         return len(columns) - 1
 
+    solids = _solids(made)
+    for name, (centre, half) in solids.items():
+        sides = (ca.SX(centre + half * way) for way in np.vstack([np.zeros(3), np.eye(3)]))
+        strokes.append(("solid", tuple(place(name, at) for at in sides)))
     held: dict[str, list[ca.SX]] = {name: [] for name in made.bodies}
     for name, table in made.tables("joints").items():
         kind = made.kinds[name]
@@ -1026,12 +1032,36 @@ def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], 
             strokes.append(("disc", tuple(place(name, at) for at in seen)))
         points = [_plain_point(point, made.dimension) for point in table["shape"]] if "shape" in table else held[name]
         if len(points) < 2 and (made.dimension == 3 or "disc" not in table):
-            points = [*points, *(_rod_end(table, at, com) for at in points), *([] if points else [com])]
+            ends = [_solid_end(*solids[name], at) if name in solids else _rod_end(table, at, com) for at in points]
+            points = [*points, *ends, *([] if points else [com])]
         if not {"shape", "disc"} & set(table):  # a spring does not end in the air
             points = [*points, *(at for at in pulled[name] if not _among(at, points))]
         chain = [place(name, at) for at in points]
-        strokes.append(("rod", tuple(chain + chain[:1] * (len(chain) > 2 and "shape" not in table))))
+        line = tuple(chain + chain[:1] * (len(chain) > 2 and "shape" not in table))
+        strokes.append(("bone" if name in solids else "rod", line))
     return ca.horzcat(*(ca.densify(point)[: made.dimension] for point in columns)), tuple(strokes)
+
+
+def _solids(made: _Drawing) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Of every body whose shape is known the centre of the box about it and half its sides (3 each, m)."""
+    boxes, solids = dict[str, tuple[np.ndarray, np.ndarray]](), made.tables("drawn").get("solids")
+    for name, entry in solids.items() if isinstance(solids, Mapping) else ():
+        try:
+            corners, faces = undescribed(entry)
+            sound = name in made.bodies and made.dimension == 3 and faces.max(initial=0) < len(corners)
+        except (TypeError, ValueError):
+            sound = False
+        if not sound:
+            raise InputError(f"drawn.solids.{name}: is no solid of a body in space; take it out")
+        six = [_number(f"drawn.solids.{name}", number) for number in entry[:6]]
+        boxes[name] = np.array(six[:3]), np.array(six[3:])
+    return boxes
+
+
+def _solid_end(centre: np.ndarray, half: np.ndarray, at: ca.SX) -> ca.SX:
+    """Where what is held at a point ends, seen from there through the middle of the box about it."""
+    away = centre - ca.densify(at)
+    return centre + away * ca.mmin(half / ca.fmax(ca.fabs(away), 1e-6 * float(half.max())))
 
 
 def _rod_end(table: Table, at: ca.SX, com: ca.SX) -> ca.SX:

@@ -37,7 +37,7 @@ def pulled(model: Model, state: np.ndarray, point: int, place: np.ndarray) -> np
     for _ in range(40):
         away = float(np.linalg.norm(missed))
         slopes, ways = _slopes(model, q, units, len(place))
-        reach, damping = slopes[point] @ slopes[point].T, damping / SOFTER
+        reach, damping = slopes[point] @ slopes[point].T, max(damping / SOFTER, NEAR)
         while damping < HARDEST:
             damped = reach + (damping * np.trace(reach) + LEAST) * np.eye(len(place))
             step = ways @ (slopes[point].T @ np.linalg.solve(damped, missed))

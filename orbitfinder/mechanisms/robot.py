@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import codecs
 import hashlib
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
@@ -23,8 +24,9 @@ from scipy.spatial.transform import Rotation
 
 from orbitfinder._runtime.processes import alone
 from orbitfinder._runtime.quiet import captured
-from orbitfinder.errors import InputError, closest, plural
+from orbitfinder.errors import Hint, InputError, closest, plural
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanisms import shapes
 from orbitfinder.mechanisms.mechanism import GROUND, JOINTS, mechanism
 from orbitfinder.records.reading import file_bytes
 
@@ -49,6 +51,8 @@ class _RigidBody:
     inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     turn: np.ndarray = field(default_factory=lambda: np.eye(3))
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    solids: list[shapes.Solid] = field(default_factory=list)
+    """how it looks"""
 
 
 @dataclass
@@ -105,7 +109,9 @@ def robot(
 
     Contacts, actuators and sensors are left out; what else acts and is not known is refused by name. Stops of joints do
     not act, and a found orbit that passes one is hinted at. Joints that mimic another follow it. Numbers are physical
-    parameters named after links and joints ("link3_mass"), in the axes of the zero position, x down.
+    parameters named after links and joints ("link3_mass"), in the axes of the zero position, x down. Links are drawn by
+    what the file says of their looks: boxes, cylinders, balls, meshes (STL, OBJ, Collada); a mesh that is not there is
+    hinted at.
 
     Args:
         file: the URDF or MJCF file, in a problem file beside it unless the path says otherwise.
@@ -141,9 +147,10 @@ def robot(
     data = _file(path)
     made = _numbers(path, data)
     made = _afloat(made) if floating else made
-    system, moving = _tables(made, locked)
+    system, moving, solids = _tables(made, locked)
     system |= _acting(made, moving, stiffness, rest or {}, damping, motors)
-    drawn = {"file": path.name, "sha256": hashlib.sha256(data).hexdigest()}
+    drawn: dict[str, Any] = {"file": path.name, "sha256": hashlib.sha256(data).hexdigest()}
+    drawn |= {"solids": shapes.described(solids)} if solids else {}
     return mechanism(**system, dimension=3, gravity=_fall(made, gravity), drawn=drawn, values=values)
 
 
@@ -226,7 +233,7 @@ def _urdf(path: Path, data: bytes) -> _Read:
     except Exception as error:
         said = " ".join(str(error).split())
         raise InputError(f"file: {path.name} is no URDF that can be read ({type(error).__name__}: {said})") from error
-    bodies, joints = dict[str, _RigidBody](), dict[str, _Joint]()
+    bodies, joints, unseen = dict[str, _RigidBody](), dict[str, _Joint](), list[str]()
     for link in robot_model.links:
         _put(bodies, "links", link.name, body := _RigidBody())
         if (weight := link.inertial) is not None:
@@ -240,6 +247,15 @@ def _urdf(path: Path, data: bytes) -> _Read:
                 ]
             )
             body.mass, body.com, body.inertia = float(weight.mass), place, turn @ matrix @ turn.T
+        for visual in link.visuals:
+            try:
+                body.solids.append(_seen(path.parent, visual))
+            except (InputError, TypeError, ValueError) as error:
+                unseen.append(f"of link {link.name!r} {error}")
+    if unseen:
+        more = f" (and {len(unseen) - 1} more)" if unseen[1:] else ""
+        said = f"file: {path.name}: {unseen[0]}{more}; without its shapes a link is drawn as a line"
+        warnings.warn(said, Hint, stacklevel=4)
     for joint in robot_model.joints:
         if joint.type not in KINDS:
             raise InputError(f"file: joint {joint.name!r} is {joint.type}; known are {', '.join(KINDS)}")
@@ -256,6 +272,36 @@ def _urdf(path: Path, data: bytes) -> _Read:
             mimics=(str(rule.joint), 1.0 if ratio is None else float(ratio), offset) if rule is not None else None,
         ))  # fmt: skip
     return _Read(str(robot_model.name), bodies, joints, str(root))
+
+
+def _seen(folder: Path, visual: Any) -> shapes.Solid:
+    """The solid of a <visual> in its link's axes. Raises `InputError`, `TypeError`, `ValueError`."""
+    shape, (turn, place) = visual.geometry, _placed(visual.origin)
+    if hasattr(shape, "filename"):
+        corners, faces = shapes.read(_beside(folder, shape.filename))
+        scale = np.broadcast_to(np.array([1.0] if shape.scale is None else shape.scale, float), 3)
+        faces = faces if np.prod(scale) > 0 else faces[:, ::-1]  # a mirrored one is turned inside out
+        corners = corners * scale
+    elif hasattr(shape, "size"):
+        corners, faces = shapes.box(shape.size)
+    else:
+        round_ = shapes.cylinder if hasattr(shape, "length") else shapes.ball
+        corners, faces = round_(float(shape.radius), *([float(shape.length)] if hasattr(shape, "length") else []))
+    corners = corners @ turn.T + place
+    if not np.all(np.isfinite(corners)) or not np.ptp(corners, axis=0).any():
+        raise InputError("a shape has sizes or a place that are no finite numbers")
+    return corners, faces
+
+
+def _beside(folder: Path, name: str) -> Path:
+    """Where a mesh lies: beside the file, or for package://PACKAGE/PATH in a folder above it. Raises `InputError`."""
+    scheme, _, rest = name.rpartition("://")
+    above = [folder.resolve(), *folder.resolve().parents] if scheme == "package" else [folder]
+    for base in above:
+        for within in (rest, rest.partition("/")[2]) if scheme == "package" else (rest,):
+            if within and (base / within).is_file():
+                return base / within
+    raise InputError(f"the mesh {name} is not there; put it beside the file as it says")
 
 
 def _placed(origin: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -283,6 +329,7 @@ def compiled(file: str) -> dict[str, Any]:
         return {"refused": " ".join(str(error).split())}
     read = ("qpos", "body_", "jnt_", "dof_", "eq_", "tendon_")
     lists: dict[str, Any] = {name: getattr(model, name).tolist() for name in dir(model) if name.startswith(read)}
+    lists["solids"] = [[part.tolist() for part in solid] for solid in _bare(mujoco, model)]
     lists |= {name: np.asarray(getattr(model.opt, name)).tolist() for name in ("gravity", "density", "viscosity")}
     return lists | {
         "nflex": model.nflex,
@@ -292,6 +339,33 @@ def compiled(file: str) -> dict[str, Any]:
         "equalities": [mujoco.mjtEq(k).name for k in model.eq_type.tolist()],
         "off": [name for name, bit in mujoco.mjtDisableBit.__members__.items() if model.opt.disableflags & int(bit)],
     }
+
+
+def _bare(mujoco: Any, model: Any) -> list[shapes.Solid]:
+    """How each body but the world looks in its own axes, by the geoms that MuJoCo's viewer shows (groups 0 to 2)."""
+    made, kinds = [list[shapes.Solid]() for _ in range(model.nbody)], mujoco.mjtGeom
+    for k in np.flatnonzero(model.geom_group < 3).tolist():
+        kind, (a, b, c) = kinds(model.geom_type[k]), model.geom_size[k].tolist()
+        mesh = model.geom_dataid[k]
+        if kind == kinds.mjGEOM_MESH:
+            corner, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+            corners = np.asarray(model.mesh_vert[corner : corner + model.mesh_vertnum[mesh]], float)
+            solid = shapes.merged(corners, model.mesh_face[face : face + model.mesh_facenum[mesh]])
+        elif kind == kinds.mjGEOM_BOX:
+            solid = shapes.box([2 * a, 2 * b, 2 * c])
+        elif kind == kinds.mjGEOM_CYLINDER:
+            solid = shapes.cylinder(a, 2 * b)
+        elif kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE):
+            solid = shapes.ball(a, 2 * b * (kind == kinds.mjGEOM_CAPSULE))
+        elif kind == kinds.mjGEOM_ELLIPSOID:
+            corners, faces = shapes.ball(1.0)
+            solid = corners * [a, b, c], faces
+        else:  # floors and landscapes are no parts of a robot
+            continue
+        turn = Rotation.from_quat(np.roll(model.geom_quat[k], -1)).as_matrix()
+        made[model.geom_bodyid[k]].append((solid[0] @ turn.T + model.geom_pos[k], solid[1]))
+    empty = np.zeros((0, 3)), np.zeros((0, 3), int)
+    return [empty, *(shapes.reduced(shapes.joined(parts), shapes.MOST) if parts else empty for parts in made[1:])]
 
 
 def _mjcf(path: Path, data: bytes) -> _Read:
@@ -315,7 +389,10 @@ def _mjcf(path: Path, data: bytes) -> _Read:
     for k in range(1, len(names)):
         turn = _straight(Rotation.from_quat(np.roll(model.body_iquat[k], -1)).as_matrix())
         inertia = turn @ np.diag(model.body_inertia[k]) @ turn.T
-        _put(made.bodies, "bodies", names[k], _RigidBody(model.body_mass[k], np.array(model.body_ipos[k]), inertia))
+        corners, faces = model.solids[k]
+        solids = [(np.array(corners), np.array(faces))] if faces else []
+        body = _RigidBody(model.body_mass[k], np.array(model.body_ipos[k]), inertia, solids=solids)
+        _put(made.bodies, "bodies", names[k], body)
         place, parent = np.array(model.body_pos[k]), names[model.body_parentid[k]]
         turned = _straight(Rotation.from_quat(np.roll(model.body_quat[k], -1)).as_matrix())
         if model.body_jntnum[k] > 1:
@@ -384,8 +461,10 @@ def _check_smooth(model: SimpleNamespace) -> None:
         raise InputError(f"file: {wrong[0]} acts in MuJoCo and is not known here; take it out of the file")
 
 
-def _tables(made: _Read, locked: Mapping[str, float] | Sequence[str]) -> tuple[dict[str, Any], list[str]]:
-    """The bodies and joints of the mechanism that a robot is, and the names of the joints that move."""
+def _tables(
+    made: _Read, locked: Mapping[str, float] | Sequence[str]
+) -> tuple[dict[str, Any], list[str], dict[str, shapes.Solid]]:
+    """The bodies and joints of the mechanism that a robot is, the names of the joints that move, how bodies look."""
     free = [name for name, joint in made.joints.items() if joint.free]
     still = dict(locked) if isinstance(locked, Mapping) else dict.fromkeys(locked, 0.0)
     _check_names("locked", still, free)
@@ -424,7 +503,8 @@ def _tables(made: _Read, locked: Mapping[str, float] | Sequence[str]) -> tuple[d
         system["bodies"][_word(name)] = {
             "mass": body.mass, "com": _listed(DOWN @ (body.com - body.place)), "inertia": _listed(six)
         }  # fmt: skip
-    return system, moving
+    seen = {GROUND if name == held else _word(name): shapes.joined(b.solids) for name, b in bodies.items() if b.solids}
+    return system, moving, {name: (corners @ DOWN.T, faces) for name, (corners, faces) in seen.items()}
 
 
 def _fall(made: _Read, gravity: Sequence[float] | float | None) -> list[float]:
@@ -564,4 +644,6 @@ def _together(made: _Read, names: Sequence[str], head: str) -> _RigidBody:
     for part, at in zip(parts, centres, strict=True):
         away = at - centre
         inertia += part.turn @ part.inertia @ part.turn.T + part.mass * (away @ away * np.eye(3) - np.outer(away, away))
-    return _RigidBody(mass, centre, inertia, np.eye(3), made.bodies[head].place)
+    origin = made.bodies[head].place
+    solids = [(c @ part.turn.T + part.place - origin, faces) for part in parts for c, faces in part.solids]
+    return _RigidBody(mass, centre, inertia, np.eye(3), origin, solids)

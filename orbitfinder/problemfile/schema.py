@@ -257,7 +257,7 @@ OWN: dict[str, dict[str, tuple[Any, ...] | None]] = {
         "gravity": (list[float] | None, None), "dimension": (Literal[2, 3], 2), "frequency": (Positive | None, None),
         "parameters": (dict[str, float] | None, None), "redundant": (Literal["refuse", "drop"], "refuse"),
         "baumgarte": (Annotated[list[Positive], Field(min_length=2, max_length=2)] | None, None),
-        "values": None, "scales": None, "drawn": None,
+        "values": None, "scales": None, "drawn": (dict[str, str | dict[str, list[float | str]]] | None, None),
         "independent": (list[str] | None, None, "solve in these coordinates, as many as degrees of freedom, instead of "
                         "as a native DAE"),
     },

@@ -7,7 +7,7 @@ is followed by the first without a jump.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
@@ -22,7 +22,9 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.families.members import whole
 from orbitfinder.mechanics.kind import build_model
+from orbitfinder.mechanics.lagrange import ISOMETRIC
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanisms.shapes import Solid, undescribed
 from orbitfinder.orbits.course import course_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
@@ -32,9 +34,11 @@ from orbitfinder.show.scene import (
     box,
     cuts_of,
     extent,
+    filled,
     outlines,
     positions_at,
     rounds_of,
+    solids_of,
     tip,
 )
 from orbitfinder.show.svg import COLOURS
@@ -84,6 +88,9 @@ class Clip(Scene):
     """True when the last point is a fixed joint too (a linkage)"""
     slow: float = 1.0
     """how many times slower than real time"""
+    space: np.ndarray | None = None
+    """points in space (frames x 3 x k), where bodies have"""
+    solids: Sequence[Solid] = ()
 
 
 def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
@@ -144,8 +151,27 @@ def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSett
     trace = min(frames, round(settings.trace * lasts * settings.rate))
     shown = portrait(model, course.states(moments)) if model.points is None else course.positions(moments)
     ground = course.grounds(moments) if model.points is not None else None
+    solids = [_finer(undescribed(entry)) for entries in solids_of(model.system).values() for entry in entries]
     return Clip(shown, settings.rate, orbit.title or orbit.name, trace, loops=bool(returns and not course.walks),
-                ground=ground, cuts=cuts_of(course, moments), strokes=model.strokes, slow=settings.slow)  # fmt: skip
+                ground=ground, cuts=cuts_of(course, moments), strokes=model.strokes, slow=settings.slow,
+                space=positions_at(model, course, moments) if solids else None, solids=solids)  # fmt: skip
+
+
+def _finer(solid: Solid) -> Solid:
+    """A solid (corners as shares of its box) whose long edges are halved: small triangles hide each other rightly."""
+    corners, faces = solid
+    for _ in range(3):
+        a, b, c = (corners[faces[:, k]] for k in range(3))
+        long = np.abs(np.stack([b - a, c - b, a - c])).max(axis=(0, 2)) > 0.6
+        cut, middle = faces[long], [(corners[faces[long, k]] + corners[faces[long, k - 2]]) / 2 for k in range(3)]
+        if not len(cut):
+            break
+        ab, bc, ca = (len(corners) + len(cut) * k + np.arange(len(cut)) for k in range(3))
+        a, b, c = cut.T
+        parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+        corners = np.vstack([corners, *middle])
+        faces = np.vstack([faces[~long], *(np.stack(part, axis=1) for part in parts)])
+    return corners, faces
 
 
 def portrait(model: Model, states: np.ndarray) -> np.ndarray:
@@ -196,7 +222,7 @@ def draw_frames(clip: Clip, settings: AnimationSettings | None = None) -> list[A
 
 def _pictures(clip: Clip, settings: AnimationSettings) -> Iterator[Any]:
     """The frames in full colours, one after the other; what does not repeat passes into its beginning."""
-    view = _View.around(clip.points, settings, clip.ground is not None and not clip.loops)
+    view = _View.around(filled(clip.points, clip.strokes), settings, clip.ground is not None and not clip.loops)
     count = len(clip.points)
     fading = 0 if clip.loops else min(count // 2, round(settings.fade * clip.rate))
     first, end = None, tip(clip.points)
@@ -317,10 +343,37 @@ def _headed(pen: Any, clip: Clip, frame: int, view: _View, colours: Mapping[str,
     pen.text((view.pixels - edge, round(6 * view.unit)), time, fill=colours["faint"], font=fonts[0], anchor="ra")
 
 
+def _solids(pen: Any, clip: Clip, frame: int, view: _View, colours: Mapping[str, str]) -> None:
+    """Triangles of solids from the farthest to the nearest, the paler the more light from above the left shoulder."""
+    assert clip.space is not None
+    placed, shades, inks = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
+    paper, body, held = (np.array(ImageColor.getrgb(colours[name])) for name in ("paper", "body", "ink"))
+    eye = np.vstack([ISOMETRIC, np.cross(*ISOMETRIC) / np.linalg.norm(ISOMETRIC[0])])  # down, right, towards the eye
+    strokes = [at for kind, at in clip.strokes if BRUSHES[kind].boxed]
+    for (corners, faces), chosen in zip(clip.solids, strokes, strict=False):
+        seen = eye @ clip.space[frame][:, list(chosen)]
+        triangles = (seen[:, 0] + corners @ (seen[:, 1:] - seen[:, :1]).T)[faces]
+        normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+        normals /= nonzero(np.linalg.norm(normals, axis=1, keepdims=True))
+        lit = np.maximum(0.0, np.where(normals[:, 2] < 0, -1, 1) * (normals @ [-0.56, -0.42, 0.714]))
+        still = not np.ptp(clip.space[:, :, list(chosen)], axis=0).any()
+        placed, shades = [*placed, triangles], [*shades, (0.4 if still else 0.0) + (0.3 if still else 0.6) * lit]
+        inks.append(np.broadcast_to(held if still else body, (len(faces), 3)))
+    triangles, shade, ink = np.concatenate(placed), np.concatenate(shades)[:, None], np.concatenate(inks)
+    mixed = np.rint(ink + shade * (paper - ink)).astype(int).tolist()
+    dots = view.place(triangles[:, :, :2].reshape(-1, 2).T)
+    for k in triangles[:, :, 2].mean(axis=1).argsort().tolist():
+        pen.polygon(dots[3 * k : 3 * k + 3], fill=tuple(mixed[k]))
+
+
 def _strokes(pen: Any, clip: Clip, frame: int, view: _View, colours: Mapping[str, str]) -> None:
     """Rods with pins at their ends, springs and discs as thin lines, sliders and the ground filled."""
     unit = view.unit * view.factor
+    if clip.solids:
+        _solids(pen, clip, frame, view, colours)
     for kind, line in outlines(clip.points[frame], clip.strokes, 0.88 * view.pixels / view.scale):
+        if clip.solids and BRUSHES[kind].covered:
+            continue
         where, brush = view.place(line), BRUSHES[kind]
         if brush.filled:
             pen.polygon(where, fill=colours[{"ground": "ink", "slider": "pin"}[kind]])

@@ -5,6 +5,7 @@ Mechanisms are drawn with rods, springs, sliders, discs and the ground, as lines
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import field as entry
@@ -27,6 +28,10 @@ CIRCLE = np.array([function(np.linspace(0.0, 2 * np.pi, 40)) for function in (np
 def _line(at: np.ndarray, half: float) -> np.ndarray:
     """A line through points (2 x k); a mass in one point as a circle."""
     return at if at.shape[1] > 1 else at + half * CIRCLE
+
+
+def _nothing(at: np.ndarray, _: float) -> np.ndarray:
+    return at[:, :0]
 
 
 def _disc(at: np.ndarray, _: float) -> np.ndarray:
@@ -58,7 +63,8 @@ class Brush:
     """How a kind of stroke is drawn: its line through points (2 x k) by half the width of what is wide (m).
 
     `thick` in widths of a rod; `filled` or a line; `rigid` where its points keep their distances, `centred` where the
-    first is the centre and the second on the rim; `pinned` where pins mark its points.
+    first is the centre and the second on the rim, `boxed` where they are a box's centre and three sides; `pinned` where
+    pins mark its points, `covered` where solids are drawn instead.
     """
 
     outline: Outline
@@ -66,17 +72,21 @@ class Brush:
     filled: bool = False
     rigid: bool = False
     centred: bool = False
+    boxed: bool = False
     pinned: bool = False
+    covered: bool = False
 
 
 BRUSHES = {
     "rod": Brush(_line, 1.0, rigid=True, pinned=True),
+    "bone": Brush(_line, 1.0, rigid=True, pinned=True, covered=True),
+    "solid": Brush(_nothing, boxed=True),
     "spring": Brush(_spring),
     "disc": Brush(_disc, rigid=True, centred=True),
-    "slider": Brush(_slider, filled=True),
-    "ground": Brush(_pivot, filled=True),
+    "slider": Brush(_slider, filled=True, covered=True),
+    "ground": Brush(_pivot, filled=True, covered=True),
 }
-"""Of every kind of stroke"""
+"""Of every kind of stroke; a bone is the rod of what has a solid, which lines do not show"""
 
 
 def outlines(points: np.ndarray, strokes: Strokes, size: float) -> list[tuple[str, np.ndarray]]:
@@ -86,7 +96,8 @@ def outlines(points: np.ndarray, strokes: Strokes, size: float) -> list[tuple[st
     """
     if not strokes:
         return [("rod", points)]
-    return [(kind, BRUSHES[kind].outline(points[:, list(chosen)], WIDTH * size)) for kind, chosen in strokes]
+    lines = ((kind, BRUSHES[kind].outline(points[:, list(chosen)], WIDTH * size)) for kind, chosen in strokes)
+    return [(kind, line) for kind, line in lines if line.size]
 
 
 def tip(points: np.ndarray) -> int:
@@ -110,6 +121,14 @@ def equal_times(period: float, count: int) -> np.ndarray:
 def box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest (down, right) of positions (k x 2 x m)."""
     return points.min(axis=(0, 2)), points.max(axis=(0, 2))
+
+
+def filled(points: np.ndarray, strokes: Strokes) -> np.ndarray:
+    """Positions (k x 2 or 3 x m) and the corners of the boxes about solids."""
+    signs, seen = np.stack(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8), [points]
+    for first, *sides in (chosen for kind, chosen in strokes if BRUSHES[kind].boxed):
+        seen.append(points[:, :, [first]] + (points[:, :, sides] - points[:, :, [first]]) @ signs)
+    return np.concatenate(seen, axis=2)
 
 
 def extent(points: np.ndarray) -> float:
@@ -231,4 +250,14 @@ def scenery(model: Model) -> dict[str, Any]:
     single = model.points is None or (model.degrees_of_freedom == 3 and not model.angular.any() and not model.strokes)
     axes = [(name, at(step) - at(np.zeros(3))) for name, step in zip(model.state_names, np.eye(3), strict=False)]
     named = axes if single else zip("xyz", np.eye(3), strict=True)
-    return own | {"axes": [[name, way.tolist()] for name, way in named], "unit": units(model.system)["length"]}
+    seen = dict(zip(["solids"], solids_of(model.system), strict=False))
+    return own | {"axes": [[name, way.tolist()] for name, way in named], "unit": units(model.system)["length"]} | seen
+
+
+def solids_of(system: Mapping[str, Any]) -> dict[str, list[list[Any]]]:
+    """The shapes of a robot's bodies in the order of their strokes, see `shapes.described`, by a name of all that pages
+    keep them by; {} where nothing is known of them."""
+    drawn = system.get("drawn")
+    table = drawn.get("solids") if isinstance(drawn, Mapping) else None
+    solids = [*table.values()] if isinstance(table, Mapping) else []
+    return {f"solids-{hashlib.sha256(repr(solids).encode()).hexdigest()[:16]}": solids} if solids else {}

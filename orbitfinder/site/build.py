@@ -121,8 +121,8 @@ class Card:
 class Site:
     """The files of a site by their path, collected before anything is written."""
 
-    def __init__(self, settings: SiteSettings) -> None:
-        self.settings = settings
+    def __init__(self, settings: SiteSettings, solids: Mapping[str, Any]) -> None:
+        self.settings, self.solids = settings, solids
         self.files: dict[str, bytes] = {}
         self.pages: list[HtmlFile] = []
         for asset in sorted(files(__package__).joinpath(ASSETS).iterdir(), key=lambda path: path.name):
@@ -134,7 +134,9 @@ class Site:
         key, payload = data
         beside = re.sub(r"\.html$", ".js", path)
         data_file = f"data/{beside}"
-        self.files[data_file] = script_data(key, payload).encode("ascii")
+        text = script_data(key, payload)
+        text += "".join(script_data(name, solids) for name, solids in self.solids.items() if f'"{name}"' in text)
+        self.files[data_file] = text.encode("ascii")
         loads = ["assets/core.js", data_file, *(f"assets/{name}" for name in SCRIPTS[kind])]
         whole = rendered(
             kind, **values, path=path, site=self.settings.title, about=about, root="../" * path.count("/"),
@@ -161,7 +163,8 @@ def build_site(
 ) -> tuple[Site, SiteSummary]:
     """All pages of everything gathered, in memory."""
     settings, tell = settings or SiteSettings(), say or (lambda _: None)
-    site, simulator, slug = Site(settings), Simulator(gathered.model), slug_maker()
+    simulator, slug = Simulator(gathered.model), slug_maker()
+    site = Site(settings, simulator.solids)
     entries = []
     for file in gathered.orbits:
         motion = simulator.orbit(file.document, file.dense)

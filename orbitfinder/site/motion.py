@@ -33,10 +33,12 @@ from orbitfinder.show.scene import (
     cuts_of,
     equal_times,
     extent,
+    filled,
     places,
     positions_at,
     rounds_of,
     scenery,
+    solids_of,
 )
 
 COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480, 640, 960)
@@ -117,6 +119,8 @@ class Simulator:
     def __init__(self, model_of: Callable[[Mapping[str, Any]], Model] = build_model) -> None:
         self._model_of = model_of
         self._known: dict[str, tuple[Model, Any] | None] = {}
+        self.solids: dict[str, list[list[Any]]] = {}
+        """shapes of bodies by their names in what is packed"""
 
     def model(self, system: Mapping[str, Any], free: tuple[str, ...] = ()) -> tuple[Model, Any] | None:
         """The Model of a description and its field f(t, x, s, free), or None where no file describes it."""
@@ -126,6 +130,7 @@ class Simulator:
                 model = self._model_of(system)
                 names = [name for name in free if name in model.parameter_names]
                 self._known[key] = model, vector_field(model, names)
+                self.solids |= solids_of(system)
             except OrbitfinderError:
                 self._known[key] = None
         return self._known[key]
@@ -431,8 +436,8 @@ def framed(shown: Sequence[Mapping[str, Any]]) -> dict[str, list[float]] | None:
 
 
 def _window(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest x and y of what is drawn: points, and discs about some of them."""
-    seen = [scene.points]
+    """Lowest and highest x and y of what is drawn: points, discs about some of them, the boxes of solids."""
+    seen = [filled(scene.points, scene.strokes)]
     for centre, rim, *_ in (line for kind, line in scene.strokes if BRUSHES[kind].centred):
         middle = scene.points[:, :, [centre]]
         radius = np.linalg.norm(scene.points[:, :, [rim]] - middle, axis=1, keepdims=True)

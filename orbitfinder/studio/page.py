@@ -25,6 +25,7 @@ from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.facts import told
 from orbitfinder.show.html import certificate_html
+from orbitfinder.show.scene import solids_of
 from orbitfinder.studio import plots
 from orbitfinder.studio.beside import RestPanel, SearchPanel, SectionPanel
 from orbitfinder.studio.desk import ROOMY, Desk, Staged, button
@@ -67,16 +68,20 @@ class Page(Desk):
         self.wanted: dict[str, Any] = {}
         self.inputs: list[Any] = []
         self.grip: Grip | None = None
+        self.timer: Any = None
         self.shown, self.simulated = False, asyncio.Event()
 
     async def built(self) -> None:
-        """The page; what it shows first is simulated once it is there."""
+        """The page: its title at once, painted while the rest is built; then what it shows is simulated."""
         files = [f"{self.assets}/site/core.js", f"{self.assets}/studio/stage.js"]
         ui.add_head_html(f'<link rel="stylesheet" href="{self.assets}/studio/studio.css">')
-        ui.add_head_html("".join(f'<script src="{file}"></script>' for file in files))
+        ui.add_head_html("".join(f'<script defer src="{file}"></script>' for file in files))
         ui.add_body_html(f'<p class="opening" aria-hidden="true">{_safe(self.session.title)}</p>')  # until it is built
         ui.colors(primary="#005f99", good="#0a6847", bad="#9a3412")
         self.theme = ui.dark_mode()
+        client = ui.context.client
+        client.on_delete(self.close)
+        await client.connected()
         self._head()
         with ui.element("div").classes("studio"):
             with ui.element("div"):
@@ -93,20 +98,20 @@ class Page(Desk):
         ui.on("held", self._held)
         ui.on("released", self._released)
         ui.on("gripped", self.safe(self._gripped))
-        client = ui.context.client
-        client.on_delete(self.close)
-        await client.connected()
         self.dark = bool(await ui.run_javascript("matchMedia('(prefers-color-scheme: dark)').matches", timeout=10))
         self._recoloured(self.dark)
-        ui.run_javascript(f"stage.mount('stage', {self._holds()})")
+        solids = [f"orbitfinder.put({json.dumps(name)}, {json.dumps(entry)});"
+                  for name, entry in solids_of(self.session.model.system).items()]  # fmt: skip
+        ui.run_javascript(f"{''.join(solids)}stage.mount('stage', {self._holds()})")
         await self._first()
 
     def close(self) -> None:
         """End the processes of a tab that has gone, and take its folder away."""
-        self.timer.deactivate()
+        if self.timer is not None:
+            self.timer.deactivate()
+            self.background.close()
         self.quick.close()
         self.long.close()
-        self.background.close()
         shutil.rmtree(self.session.folder, ignore_errors=True)
 
     # ------------------------------------------------------------------ what the page is made of

@@ -114,6 +114,7 @@ def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any
     ]
     shown: dict[str, Any] = {
         "items": items,
+        "solids": simulator.solids,
         "title": "",
         "below": "",
         "diagram": "",

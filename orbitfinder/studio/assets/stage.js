@@ -48,15 +48,19 @@ var stage = (function () {
   }
 
   // Where a point of what plays is, in px; where px are, in m down and right, in space as far from the eye as the point.
+  function placed(time) {
+    if (scene.width !== canvas.clientWidth) scene.fit(); // another motion came since the last picture
+    return scene.motion.at(time);
+  }
   function spot(k, time) {
-    if (scene.width !== canvas.clientWidth) scene.fit();
-    var now = scene.motion.at(time);
+    var now = placed(time);
     return [scene.across(now, k), scene.down(now, k)];
   }
   function metres(p) {
+    var now = placed(player.time);
     if (scene.view) {
-      var held = scene.point(scene.motion.now, pulled), v = scene.view, m = scene.motion;
-      return [0, 1, 2].map(function (d) { return m.now[pulled + d * m.points] +
+      var held = scene.point(now, pulled), v = scene.view, m = scene.motion;
+      return [0, 1, 2].map(function (d) { return now[pulled + d * m.points] +
         ((p[1] - held[1]) * v[0][d] + (p[0] - held[0]) * v[1][d]) / scene.scale; });
     }
     return [scene.centre[0] + (p[1] - scene.height / 2) / scene.scale, scene.centre[1] + (p[0] - scene.width / 2) / scene.scale];

@@ -1,6 +1,7 @@
 // The stage in a notebook: the player of the pages in an element of the host, with its colours.
 function render({ model, el }) {
   var it = model.get("shown"), items = it.items, many = items.length > 1, player = new orbitfinder.Player(), picked = -1;
+  for (var name in it.solids) orbitfinder.put(name, it.solids[name]);
   function make(tag, kind, into) {
     var one = document.createElement(tag);
     if (kind) one.className = kind;
