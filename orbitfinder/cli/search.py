@@ -86,15 +86,17 @@ def search(
             raise InputError(f"{file}: {MISSING}")
         loaded = load_problem_file(file, trust)
         energies, periods = wanted(loaded)
+        wished = loaded.wanted if steered(loaded) else loaded.model
+        conserved = isinstance(wished, of.Model) and bool(wished.invariants)
 
         def report(energy: float, tally: SearchStatistics) -> None:
             interrupt.check()
-            shown.show(progress(energy, tally, bool(loaded.model.invariants)))
+            shown.show(progress(energy, tally, conserved))
 
-        result = of.search(loaded.model, energies, periods, book, starts=starts, budget=budget, folder=folder,
+        result = of.search(wished, energies, periods, book, starts=starts, budget=budget, folder=folder,
                           progress=report, parameters=parameters, **how, **sections(loaded))  # fmt: skip
     for energy, tally in result.tallies:
-        where = level(energy, bool(loaded.model.invariants), tally)
+        where = level(energy, conserved, tally)
         text(
             f"{where}: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, {plural(tally.new, 'new orbit')}, "
             f"{plural(tally.duplicates, 'time')} a known one, {sum(tally.failures.values())} failed"
@@ -125,6 +127,8 @@ def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]
     table = loaded.document.get("search", {})
     if loaded.search is None:
         raise InputError(f"{loaded.path}: {MISSING}")
+    if steered(loaded):
+        return table.get("energy"), loaded.search
     energy = table.get("energy", (loaded.document.get("find", {}).get("pin") or {}).get("energy"))
     general = loaded.model.rates is not None or loaded.model.forced or not loaded.model.smooth
     if energy is None and general and not loaded.model.invariants:
@@ -132,6 +136,11 @@ def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]
     if energy is None:
         raise InputError(f"{loaded.path}: search.energy: missing; give the energy in J, or find.pin.energy")
     return [float(value) for value in (energy if isinstance(energy, list) else [energy])], loaded.search
+
+
+def steered(loaded: ProblemFile) -> bool:
+    """Whether a problem file is about controlled motions."""
+    return loaded.problem is not None and loaded.problem.control is not None
 
 
 def sections(loaded: ProblemFile) -> dict[str, Any]:
