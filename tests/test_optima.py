@@ -260,13 +260,14 @@ def test_optima_are_saved_loaded_drawn_and_members_verified(tmp_path: Path, fold
             of.load_optima(path)
 
 
-def test_continue_follows_a_controlled_problem(tmp_path: Path) -> None:
+def test_continue_follows_a_controlled_problem(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = "problems/control/maintained-oscillator.toml"
     out = ["--out", str(tmp_path), "--json"]
-    done = CliRunner().invoke(cli, ["continue", file, "--parameter", "damping", "--at", "0.19", *out])
+    done = CliRunner().invoke(cli, ["continue", file, "--parameter", "damping", "--at", "0.2,0.19", *out])
     assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
-    assert said["costs"] == pytest.approx([0.19**2 * (1 - 0.19**2 / 4) / 2], rel=1e-10)
+    said, told = json.loads(done.stdout), capfd.readouterr().err.splitlines()
+    assert said["costs"] == pytest.approx([d**2 * (1 - d**2 / 4) / 2 for d in (0.2, 0.19)], rel=1e-10)
+    assert [" s left" in line for line in told if "cost" in line] == [True, False]
     assert {Path(one).name for one in said["written"]} == {"optima.json", "optima.png"}
     given = ["--parameter", "damping"]
     wrong_ones = {"--parameter": ["--until", "1"], "--until": given, "--direction": [*given, "--direction", "both"]}

@@ -11,7 +11,7 @@ import click
 
 import orbitfinder as of
 from orbitfinder._runtime import interrupt
-from orbitfinder.cli.console import Report, display
+from orbitfinder.cli.console import SPEAK_EVERY, Report, display
 from orbitfinder.cli.options import FILES, finish, next_step, option, text, trusted, usual
 from orbitfinder.cli.sweep import parameter
 from orbitfinder.errors import InputError, plural
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from orbitfinder.atlas.search import SearchStatistics
     from orbitfinder.problemfile.read import ProblemFile
 
-SPEAK_EVERY = 5.0
-"""Seconds between two lines of progress where there is no terminal."""
 REASONS_SHOWN = 8
 MISSING = "search: missing; add a [search] table with period = [shortest, longest]"
 
