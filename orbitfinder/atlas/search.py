@@ -292,13 +292,14 @@ def record(atlas: Atlas, search: int, attempt: Attempt) -> tuple[str, int | None
 @dataclass(frozen=True)
 class Found:
     """What one run of a search did: its statistics by energy (J), at each set of parameters, and the summary of these
-    searches from the atlas."""
+    searches from the atlas; `refused` are energies with parameters where nothing can be searched, and why."""
 
     __repr__ = brief("atlas", "summary")
 
     atlas: Path
     tallies: tuple[tuple[float, SearchStatistics], ...]
     summary: Summary
+    refused: tuple[tuple[float, Mapping[str, float], str], ...] = ()
 
 
 def search(
@@ -347,10 +348,10 @@ def search(
         parameters: values of physical parameters by name; every combination is searched, at every energy.
 
     Returns:
-        `summary` of these searches, `tallies` by energy and parameters, `atlas`.
+        `summary` of these searches, `tallies` by energy and parameters, `atlas`; `refused` where others were searched.
 
     Raises:
-        InputError: for energies that cannot be reached and settings that contradict each other.
+        InputError: for energies none of which can be reached and settings that contradict each other.
 
     Examples:
         >>> found = of.search(pendulum, -18.0, (0.9, 2.5), "double.sqlite", starts=6, workers=0)
@@ -372,20 +373,27 @@ def search(
     for name, pair in (section or {}).items():
         check_range(f"search.section.{name}", pair)
     where = {name: (float(pair[0]), float(pair[1])) for name, pair in (section or {}).items()}
-    tallies, ids = [], []
+    tallies, ids, refused = [], [], list[tuple[float, Mapping[str, float], InputError]]()
     listening(scheduler if executor is None else None)  # before an atlas is made
     with Atlas(atlas, write=True, model=model) as book:
         for energy, values in points:
-            there = with_parameters(model, values)
             target = Target(energy, (float(periods[0]), float(periods[1])), where, int(cycles), asked)
+            try:
+                there = with_parameters(model, values)
+                context = context_of(there, target)
+            except InputError as error:  # of this energy and these parameters; others may do
+                refused.append((energy, values, error))
+                if len(refused) == len(points):
+                    raise refused[0][2] from None
+                continue
             request = Request(dict(there.system), target, int(seed), None if folder is None else str(folder))
-            context = context_of(there, target)
             told = None if progress is None else partial(progress, energy)
             run = Search(book, request, context, limits, told, values)
             with contextlib.closing(employed(context, request, workers, scheduler, executor)) as crew:
                 tallies.append((energy, run.run(crew)))
             ids.append(run.id)
-        return Found(Path(atlas), tuple(tallies), summarise(book, ids))
+        why = tuple((energy, values, str(error)) for energy, values, error in refused)
+        return Found(Path(atlas), tuple(tallies), summarise(book, ids), why)
 
 
 def levels(model: Model, energies: float | Sequence[float] | None, controlled: bool = False) -> tuple[float, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -63,7 +64,9 @@ def search(
     """Search for all periodic orbits of the system of a problem FILE, at its energies and periods.
 
     Every orbit found is certified and, when it is new, written to the atlas. The starts depend on the
-    seed alone, not on the number of workers. The same command goes on where it was stopped, or killed.
+    seed alone, not on the number of workers. The same command goes on where it was stopped, or killed. Of a problem
+    with [control] the optima near many guesses are looked for. Exit code 1: an energy cannot be reached at some
+    parameters; what can be is searched.
     Shards know nothing of each other: give each an atlas of its own, and join them by `atlas merge`.
 
     \b
@@ -93,8 +96,10 @@ def search(
 
         result = of.search(wished, energies, periods, book, starts=starts, budget=budget, folder=folder,
                           progress=report, parameters=parameters, **how, **sections(loaded))  # fmt: skip
+    for energy, values, why in result.refused:
+        text(f"{level(energy, conserved, values)}: not searched: {why}")
     for energy, tally in result.tallies:
-        where = level(energy, conserved, tally)
+        where = level(energy, conserved, tally.parameters)
         text(
             f"{where}: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, {plural(tally.new, 'new orbit')}, "
             f"{plural(tally.duplicates, 'time')} a known one, {sum(tally.failures.values())} failed"
@@ -110,14 +115,16 @@ def search(
         }
         for energy, tally in result.tallies
     ]  # fmt: skip
-    finish("search", {"atlas": str(result.atlas), "runs": runs, "summary": result.summary.document()})
+    refused = [{"energy": energy, "parameters": dict(values), "reason": why} for energy, values, why in result.refused]
+    document = {"atlas": str(result.atlas), "runs": runs, "refused": refused, "summary": result.summary.document()}
+    finish("search", document, not refused)
 
 
-def level(energy: float, conserved: bool, tally: SearchStatistics) -> str:
+def level(energy: float, conserved: bool, parameters: Mapping[str, float]) -> str:
     """An energy and parameters in words."""
     from orbitfinder.atlas.store import as_words, parameters_in_words
 
-    return (f"{energy:g} J" if conserved else "any energy") + parameters_in_words(as_words(tally.parameters), ", ")
+    return (f"{energy:g} J" if conserved else "any energy") + parameters_in_words(as_words(parameters), ", ")
 
 
 def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]]:
@@ -149,13 +156,14 @@ def sections(loaded: ProblemFile) -> dict[str, Any]:
 def progress(energy: float, tally: SearchStatistics, conserved: bool = True) -> Report:
     """How far a search has come."""
     made, failed, left = tally.made, sum(tally.failures.values()), tally.left
+    where = level(energy, conserved, tally.parameters)
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
     line = (
-        f"{level(energy, conserved, tally)}: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
+        f"{where}: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
         f"{tally.duplicates} known, {failed} failed, {plural(tally.orbits, 'orbit')} in the atlas, {rate} starts/s"
     ) + (remaining and f", {remaining} left")
     rows = [
-        ("energy", level(energy, conserved, tally)), ("starts", f"{made}"),
+        ("energy", where), ("starts", f"{made}"),
         ("hits", f"{tally.hits}"), ("new orbits", f"{tally.new}"),
         ("known orbits", f"{tally.duplicates}"), ("orbits in the atlas", f"{tally.orbits}"),
         ("starts a second", rate), ("time left", remaining),
