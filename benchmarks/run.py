@@ -63,6 +63,11 @@ ELSEWHERE = {
     "large": "Large systems by shooting, against an earlier checkout: `python benchmarks/large.py --before FOLDER`",
     "balance": "Large driven systems by harmonic balance: `python benchmarks/balance.py --pyharm PYTHON`",
     "earlier": "Times against an earlier checkout's: `python benchmarks/earlier.py --against COMMIT`",
+    "control": "Controlled motions beside rockit: `python benchmarks/control.py`",
+    "maps": "Maps of a parameter plane, bifurcation diagrams by brute force: `python benchmarks/maps.py`",
+    "sweep": "Parameter studies, orbits a second of a core: `python benchmarks/sweep.py`",
+    "search_wide": "A wider search, against an earlier checkout: `python benchmarks/search.py --against COMMIT`",
+    "search_memory": "Memory of a search of 100,000 starts: `python benchmarks/search.py --memory 100000`",
     "hybrid_search": "Searches of hybrid systems, against a scan by brute force: `python benchmarks/hybrid_search.py`",
     "hybrid": "Walking machines, against a script by hand and a second program: `python benchmarks/hybrid.py`",
 }

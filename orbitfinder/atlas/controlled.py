@@ -142,7 +142,8 @@ class Controlled:
         shapes = np.hstack([constant, np.cos(angles), np.sin(angles)])
         turning = 2 * np.pi * orders / period
         rates = np.hstack([0 * constant, -turning * np.sin(angles), turning * np.cos(angles)])
-        weights = 1.0 / np.concatenate([[2.0], orders, orders])
+        sizes = np.where(np.arange(3) == random.integers(3), 1.0, 0.3 / orders)  # any of them may lead
+        weights = np.concatenate([[0.5], sizes, sizes])
         n, size = model.degrees_of_freedom, self.extents.size
         columns = np.zeros((count + 1, size))
         for i in range(n):
