@@ -23,6 +23,7 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.problemfile.write import orbit_text
 from orbitfinder.site.motion import Simulator
 
+ROOT = Path(__file__).parents[1]
 STIFFNESS, DAMPING, PERIOD, TILT = 1.0, 0.2, 5.0, 0.5
 FILE = f"""
 name = "wells"
@@ -179,6 +180,17 @@ def test_what_cannot_be_searched_is_said(
     wrong = replace(problem, **change)
     with pytest.raises(InputError, match=words):
         of.search(wrong, None, periods, tmp_path / "a.sqlite", starts=1, workers=0)
+
+
+@pytest.mark.slow
+def test_a_gait_is_searched_for_and_an_arc_that_lasts_no_time_is_none(tmp_path: Path) -> None:
+    """Two of three starts come to the same hop; the other to a stance that lasts no time."""
+    hopper = of.load_problem(ROOT / "problems" / "control" / "hopping-monopod.toml")
+    found = of.search(hopper, None, (0.584, 0.9125), tmp_path / "hops.sqlite", starts=3, workers=2)
+    assert found.summary.failures == {"an arc lasts no time": 1} and found.summary.hits == 2
+    with of.Atlas(tmp_path / "hops.sqlite") as atlas:
+        (row,) = atlas.rows()
+        assert row.signature == "liftoff touchdown" and row.cost == pytest.approx(of.find_orbit(hopper).control["cost"])
 
 
 def test_an_energy_is_not_searched_for(problem: of.Problem, tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ class Controlled:
         if held is not None and not periods[0] <= held <= periods[1]:
             within = f"{periods[0]:g} to {periods[1]:g} s"
             raise InputError(f"search.period: {within}, but the period is pinned at {held:g} s; widen it")
-        if held is None:
+        if held is None and model.smooth:
             wide = {"period": (periods[0] / 1.15, periods[1] * 1.15)}  # so that none stops at an end of the range
             problem = replace(problem, bounds=wide | dict(problem.bounds))
         program = Program(problem, control, 1)
@@ -168,8 +168,14 @@ class Controlled:
 
     def orbit(self, problem: Problem) -> tuple[Orbit, Model]:
         """The optimum near the guess of a problem, without certificate. Raises `ConvergenceError`."""
-        orbit, model = find_controlled(problem, SolveSettings(), None, 0.0)
+        with np.errstate(all="ignore"):  # of what the checks reject
+            orbit, model = find_controlled(problem, SolveSettings(), None, 0.0)
+        assert orbit.control is not None
+        shares = [float(share) for share in orbit.control["shares"].values()]
+        if min(*shares, 1.0 - sum(shares), 1.0) < 1e-6:
+            raise ConvergenceError("an arc lasts no time")
         if not self.periods[0] <= orbit.period <= self.periods[1]:
             raise ConvergenceError("period outside the range")
         said = {name: orbit.provenance[name] for name in KEPT if name in orbit.provenance}
-        return replace(orbit, provenance=said), model
+        cycle = {} if model.smooth else {"cycle": list(model.cycle)}
+        return replace(orbit, provenance=said, system={**orbit.system, **cycle}), model
