@@ -221,11 +221,11 @@ def test_a_journal_cut_anywhere_ends_the_same(calm: Calm, tmp_path: Path, solved
 MORE = ({"until": 0.3}, {"until": 0.23}, {"until": 0.3, "points": 3}, {"until": 0.19})
 
 
-@pytest.mark.parametrize("more", [MORE[1:2], pytest.param(MORE, marks=pytest.mark.slow)], ids=["once", "four times"])
-def test_a_family_goes_on_farther_nearer_and_the_other_way(tmp_path: Path, solved: list[str], more) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.slow
+def test_a_family_goes_on_farther_nearer_and_the_other_way(tmp_path: Path, solved: list[str]) -> None:
     """What is known of what is asked is not solved again, and the rest is as if all had been asked at once."""
     of.follow_optima(maintained(), "damping", until=0.24, points=2, out=tmp_path)
-    for asked in more:
+    for asked in MORE:
         solved.clear()
         found = of.follow_optima(maintained(), "damping", **asked, out=tmp_path)
         count, first = len(solved), "first" in solved
