@@ -297,13 +297,19 @@ def main() -> None:
         for name in chosen.only:
             rows.append(measured(name, checkouts, chosen.repeats))
             progress(line(rows[-1]))
-    publish("earlier", page(rows, chosen.repeats), rows, chosen)
+    before = chosen.out / "earlier.md"
+    kept = before.read_text(encoding="utf-8") if before.is_file() else ""
+    publish("earlier", page(rows, chosen.repeats, kept), rows, chosen)
     raise SystemExit(any(row["met"] is False for row in rows))
 
 
-def page(rows: list[dict[str, Any]], repeats: int) -> str:
-    """The report of a run."""
-    lines = "\n".join(map(line, rows))
+def page(rows: list[dict[str, Any]], repeats: int, before: str = "") -> str:
+    """The report of a run, with what the page before it says of other rows."""
+    names, now = [*ROWS, "latency"], {row["row"]: line(row) for row in rows}
+    known = {text.split("|")[1].strip(): text for text in before.splitlines() if text.startswith("| ")}
+    known = {name: known[name] for name in names if name in known and name not in now}
+    lines = "\n".join((known | now)[name] for name in names if name in known | now)
+    told = f"Of this run: {', '.join(now)}; the other rows are of runs before it.\n\n" if known else ""
     return f"""# Times against an earlier checkout's
 
 Written by `python benchmarks/earlier.py --against CHECKOUT`; processor times, of a family a point, the least of
@@ -313,7 +319,7 @@ Written by `python benchmarks/earlier.py --against CHECKOUT`; processor times, o
 |---|---|---|---|---|---|---|---|
 {lines}
 
-{conditions()}.
+{told}{conditions()}.
 """
 
 

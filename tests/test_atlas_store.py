@@ -193,7 +193,7 @@ def test_a_newer_atlas_is_refused_untouched(book):
 def older(book, version):
     """The file as it was in a version: without what later migrations added."""
     with database(book) as connection:
-        for column in ("parameters", *("signature", "proof")[: 2 * (version < 3)]):
+        for column in ("cost", "parameters", *("signature", "proof")[: 2 * (version < 3)]):
             connection.execute(f"ALTER TABLE orbits DROP COLUMN {column}")
         for index in ("orbits_by_energy", "starts_by_orbit")[: 2 * (version < 2)]:
             connection.execute(f"DROP INDEX {index}")

@@ -1,5 +1,6 @@
 """The benchmarks: their equations are ours, what is missing is said, and the page is put together from its parts."""
 
+import re
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -195,6 +196,26 @@ def test_times_against_an_earlier_checkout(monkeypatch):
     assert earlier.measured(name, {"ours": earlier.ROOT}, 1)["met"] is None
     with pytest.raises(SystemExit, match="no-such: neither a folder nor a commit"), earlier.checkout_of("no-such"):
         pass
+
+
+def test_every_page_has_a_row_in_the_table_of_contents():
+    folder = ROOT / "results" / "benchmarks"
+    pages = {page.name for page in folder.glob("*.md")} - {"README.md"}
+    assert pages == set(re.findall(r"\| \[(\w+\.md)\]", (folder / "README.md").read_text()))
+
+
+def test_a_page_keeps_the_rows_that_a_run_leaves_out():
+    def row(name, seconds):
+        return {"row": name, "ours": turns.Run(seconds=seconds), "ratio": 1.0, "wanted": 1.0, "met": None}
+
+    names = ["refine triple-1", "torus", "latency"]
+    whole = earlier.page([row(name, 0.002) for name in names], 3)
+    part = earlier.page([row("torus", 0.005)], 3, whole.replace("| torus |", "| gone |\n| torus |"))
+    assert [text.split(" | ")[:2] for text in part.splitlines() if text.startswith("| ") and "ms" not in text] == [
+        ["| refine triple-1", "2"], ["| torus", "5"], ["| latency", "2"]
+    ]  # fmt: skip
+    assert "Of this run: torus; the other rows are of runs before it." in part
+    assert "Of this run" not in whole and "Of this run" not in earlier.page([row("torus", 0.1)], 3)
 
 
 def test_work_that_fails_in_a_checkout_is_told(tmp_path):

@@ -331,7 +331,7 @@ def test_a_controlled_orbit_is_saved_loaded_and_verified(tmp_path: Path) -> None
 
 
 FILES = [path for path in sorted(Path("problems/control").glob("*.toml")) if "[control]" in path.read_text()]
-QUICK = {"maintained-oscillator", "pick-and-place"}
+QUICK = {"maintained-oscillator"}
 
 
 @pytest.mark.parametrize(

@@ -221,11 +221,11 @@ def test_a_journal_cut_anywhere_ends_the_same(calm: Calm, tmp_path: Path, solved
 MORE = ({"until": 0.3}, {"until": 0.23}, {"until": 0.3, "points": 3}, {"until": 0.19})
 
 
-@pytest.mark.parametrize("more", [MORE[1:2], pytest.param(MORE, marks=pytest.mark.slow)], ids=["once", "four times"])
-def test_a_family_goes_on_farther_nearer_and_the_other_way(tmp_path: Path, solved: list[str], more) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.slow
+def test_a_family_goes_on_farther_nearer_and_the_other_way(tmp_path: Path, solved: list[str]) -> None:
     """What is known of what is asked is not solved again, and the rest is as if all had been asked at once."""
     of.follow_optima(maintained(), "damping", until=0.24, points=2, out=tmp_path)
-    for asked in more:
+    for asked in MORE:
         solved.clear()
         found = of.follow_optima(maintained(), "damping", **asked, out=tmp_path)
         count, first = len(solved), "first" in solved
@@ -260,13 +260,14 @@ def test_optima_are_saved_loaded_drawn_and_members_verified(tmp_path: Path, fold
             of.load_optima(path)
 
 
-def test_continue_follows_a_controlled_problem(tmp_path: Path) -> None:
+def test_continue_follows_a_controlled_problem(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = "problems/control/maintained-oscillator.toml"
     out = ["--out", str(tmp_path), "--json"]
-    done = CliRunner().invoke(cli, ["continue", file, "--parameter", "damping", "--at", "0.19", *out])
+    done = CliRunner().invoke(cli, ["continue", file, "--parameter", "damping", "--at", "0.2,0.19", *out])
     assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
-    assert said["costs"] == pytest.approx([0.19**2 * (1 - 0.19**2 / 4) / 2], rel=1e-10)
+    said, told = json.loads(done.stdout), capfd.readouterr().err.splitlines()
+    assert said["costs"] == pytest.approx([d**2 * (1 - d**2 / 4) / 2 for d in (0.2, 0.19)], rel=1e-10)
+    assert [" s left" in line for line in told if "cost" in line] == [True, False]
     assert {Path(one).name for one in said["written"]} == {"optima.json", "optima.png"}
     given = ["--parameter", "damping"]
     wrong_ones = {"--parameter": ["--until", "1"], "--until": given, "--direction": [*given, "--direction", "both"]}

@@ -58,6 +58,18 @@ def test_search_reports_in_words(book):
     assert "orbits without symmetry at -30 J were sought by" in out and "+- 0" not in out
 
 
+def test_an_energy_that_a_point_of_the_grid_does_not_reach_leaves_the_others(tmp_path):
+    """Three links hang at -4.5 g: with g = 5 at -22.5 J."""
+    asked = ("search", TRIPLE, "--starts", 0, "--workers", 0, "--atlas", tmp_path / "a.sqlite", "--parameter")
+    document = json.loads(run(*asked, "gravity=5,9.8", "--json", code=1)[0])
+    (refused,) = document["refused"]
+    assert refused["parameters"] == {"gravity": 5.0} and "-22.5" in refused["reason"]
+    assert [one["parameters"] for one in document["runs"]] == [{"gravity": 9.8}]
+    out, _ = run(*asked, "gravity=5,9.8", code=1)
+    assert f"-30 J, gravity = 5: not searched: {refused['reason']}" in out and "-30 J, gravity = 9.8: 0 starts" in out
+    assert "-22.5" in run(*asked, "gravity=5,4", code=2)[1]
+
+
 def test_list_show_and_verify(book, tmp_path):
     path, document = book
     out, _ = run("atlas", "list", path)

@@ -85,7 +85,9 @@ def test_an_angle_is_crossed_every_turn():
 def test_a_forced_system_is_seen_once_a_period():
     model = of.systems.forced_duffing()
     period = float(model.forcing_period(model.parameter_values))
-    made = section(model, seeds=3, returns=4)
+    done = list[tuple[int, int]]()
+    made = section(model, seeds=3, returns=4, progress=lambda *counts: done.append(counts))
+    assert done == sorted(done) and done[0][0] < done[-1][0] and set(done[-1]) == {12} == {whole for _, whole in done}
     first = made.starts[0]
     wanted = sample(build_flow(model), first, 4 * period, 5)[1:]
     np.testing.assert_allclose(made.states[made.seeds == 0], wanted, atol=3e-8)
@@ -178,7 +180,10 @@ def test_a_hybrid_system_is_seen_after_its_own_events():
     """A ball that loses half its speed on a table at rest: every return is at height 0, half as fast as the last."""
     model = of.systems.bouncing_ball(amplitude=0.0, frequency=1.0, gravity=10.0, restitution=0.5)
     height, speed = model.state_names[:2]
-    made = section(model, seeds=2, returns=3, ranges={height: (1.0, 1.1), speed: (0.0, 0.1)})
+    done = list[tuple[int, int]]()
+    made = section(model, seeds=2, returns=3, ranges={height: (1.0, 1.1), speed: (0.0, 0.1)},
+                   progress=lambda *counts: done.append(counts))  # fmt: skip
+    assert done == [(3, 6), (6, 6)]
     speeds = np.abs(made.states[made.seeds == 0][:, 1])
     np.testing.assert_allclose(speeds[1:] / speeds[:-1], 0.5, rtol=1e-8)
 

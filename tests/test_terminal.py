@@ -57,6 +57,15 @@ def test_verdicts_are_coloured_on_a_terminal_only(monkeypatch: pytest.MonkeyPatc
     assert "\x1b[32m" in capsys.readouterr().out
 
 
+def test_time_left_is_that_of_the_way_to_a_value_or_of_the_steps_that_may_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0.0, 2.0, 6.0, 0.0, 3.0])
+    monkeypatch.setattr(console.time, "monotonic", lambda: next(clock))
+    towards = console.way_left(100, 4.0)
+    assert [towards(1.0), towards(1.5), towards(2.0, 3.0), towards(4.0)] == ["", ", 10 s left", ", 3 s left", ""]
+    steps = console.way_left(4, None, 0.0)
+    assert steps(7.0) == ", 9 s left"
+
+
 def test_every_command_stands_under_one_purpose_and_is_not_cut() -> None:
     """The help names all commands once, each with its whole sentence."""
     named = [name for names in PURPOSES.values() for name in names]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -260,7 +261,7 @@ def test_at_a_fixed_rotation_number_and_the_file(golden, tmp_path):
         of.load_tori(tmp_path / "other.json")
 
 
-def test_the_command(loop_orbit, tmp_path):
+def test_the_command(loop_orbit, tmp_path, capfd):
     of.save_orbit(replace(loop_orbit, name="loop"), tmp_path / "orbit.json")
     runner = CliRunner()
 
@@ -276,8 +277,9 @@ def test_the_command(loop_orbit, tmp_path):
     assert invoked("verify", f"{file}#0").exit_code == 0
     assert invoked("torus", f"{file}#99", "--out", tmp_path).exit_code == 2
     assert "give one of them" in invoked("torus", file, "--out", tmp_path).output
-    short = invoked(*asked, "--until", 0.1512345, "--points", 1)
-    assert short.exit_code == 1 and "point limit of 1" in short.output
+    short = invoked(*asked, "--until", 0.1512345, "--points", 2)
+    assert short.exit_code == 1 and "point limit of 2" in short.output
+    assert re.search(r"states, \d+ s left\n", capfd.readouterr().err)
     spoilt = json.loads(file.read_text())
     spoilt["tori"][0]["curve"][3][0] += 1e-6
     file.write_text(json.dumps(spoilt))

@@ -171,6 +171,9 @@ def course(context: Context, seed: int, job: Job) -> Course[Found]:
         start = yield from proposed(context, seed, job.number)
     else:
         start = continuation(context, job.number, job.source)
+    if context.controlled is not None and start.problem is not None:
+        steered = context.controlled.orbit(start.problem)
+        return start, signature_of(*steered), lambda: done(steered)
     if context.section is not None:
         orbit = context.section.orbit(start.state, start.period, start.course)
         model = context.section.model_of(orbit)
@@ -193,6 +196,7 @@ def judged(
     orbit, model = made or alone(make())
     name = f"e{context.target.energy:g}-s{seed}-n{start.index}".replace("+", "")  # unique, and good for a folder
     said = origin(seed, start) | {"invariants": [invariant.name for invariant in model.invariants]}
+    said = {**orbit.provenance, **said} if orbit.control else said
     orbit = certified(replace(orbit, provenance=said, name=name), model)
     if orbit.certificate is not None and not orbit.certificate.passed:
         failed = ", ".join(orbit.certificate.failures)

@@ -47,12 +47,14 @@ def _table(atlas: Atlas, chosen: Filter | None, to: str) -> bytes:
     lines = atlas.rows(chosen)
     rows, names = [flat(atlas, row, states) for row in lines], flat_names(states)
     told = {name: FIELDS.get(name, STATE) for name in names}
-    if any(line.parameters for line in lines):
-        rows = [row | {"parameters": line.parameters} for row, line in zip(rows, lines, strict=True)]
-        names, told["parameters"] = (
-            (*names, "parameters"),
-            ("", "of a grid, JSON; empty where they are the system's own"),
-        )
+    further = {
+        "parameters": ("", "of a grid, JSON; empty where they are the system's own"),
+        "cost": ("", "of a controlled orbit, in units of its problem's cost; empty of others"),
+    }
+    for name, unit in further.items():
+        if any(getattr(line, name) not in ("", None) for line in lines):
+            rows = [row | {name: getattr(line, name)} for row, line in zip(rows, lines, strict=True)]
+            names, told[name] = (*names, name), unit
     return table_bytes({name: [row[name] for row in rows] for name in names}, to, told, atlas.system)
 
 

@@ -136,6 +136,8 @@ def _beyond(atlas: Atlas) -> str:
         model = atlas.model
     except InputError:
         return ""
+    if atlas.controlled:
+        return "optima that no loop of three harmonics as large as the guess's motion leads to"
     attracted = "orbits away from what motions from random states settle on"
     if not model.smooth:
         return "orbits of more cycles than were asked for, and those that do not begin in the section"

@@ -24,6 +24,7 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.cluster import listening
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.attempt import CONTINUATION, Attempt, Job
+from orbitfinder.atlas.controlled import statement
 from orbitfinder.atlas.report import Summary, summarise
 from orbitfinder.atlas.shard import WHOLE, Shard, shard_from
 from orbitfinder.atlas.starts import CYCLES, METHOD, Context, Target, context_of, strategy_of
@@ -31,6 +32,7 @@ from orbitfinder.atlas.store import Atlas, as_words, check_range
 from orbitfinder.atlas.tables import explained, transaction
 from orbitfinder.atlas.workers import Cluster, Inline, LocalWorkers, Pool, Request, Workers
 from orbitfinder.errors import InputError, closest
+from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 
@@ -109,6 +111,7 @@ def register(
     if context.section is not None:
         target = request.target
         how |= {"cycle": context.model.cycle, "cycles": target.cycles, "section": dict(target.section)}
+    how |= {"control": dict(request.target.problem)} if request.target.problem else {}
     how |= {"parameters": dict(parameters)} if parameters else {}
     method = json.dumps(how, sort_keys=True)
     key = [request.target.energy, *request.target.periods, request.seed, method]
@@ -213,7 +216,8 @@ class Search:
         """How many starts are made side by side, by the time that the latest have taken."""
         latest, budget = self._latest, self._limits.budget
         turn = TURN if budget is None else min(TURN, budget - self.statistics.elapsed)
-        return int(np.clip(turn * len(latest) / (sum(latest) + 1e-3), 1, TOGETHER)) if latest else FIRST
+        first = FIRST if self._context.controlled is None else 1
+        return int(np.clip(turn * len(latest) / (sum(latest) + 1e-3), 1, TOGETHER)) if latest else first
 
     def _submit(self, workers: Workers, jobs: Sequence[Job]) -> None:
         workers.submit(jobs)
@@ -290,17 +294,18 @@ def record(atlas: Atlas, search: int, attempt: Attempt) -> tuple[str, int | None
 @dataclass(frozen=True)
 class Found:
     """What one run of a search did: its statistics by energy (J), at each set of parameters, and the summary of these
-    searches from the atlas."""
+    searches from the atlas; `refused` are energies with parameters where nothing can be searched, and why."""
 
     __repr__ = brief("atlas", "summary")
 
     atlas: Path
     tallies: tuple[tuple[float, SearchStatistics], ...]
     summary: Summary
+    refused: tuple[tuple[float, Mapping[str, float], str], ...] = ()
 
 
 def search(
-    model: Model,
+    model: Model | Problem,
     energies: float | Sequence[float] | None,
     periods: tuple[float, float],
     atlas: str | Path,
@@ -325,7 +330,7 @@ def search(
     stopped, however, goes on when the same is asked again.
 
     Args:
-        model: the system.
+        model: the system; of controlled motions a Problem with a control, whose optima are looked for.
         energies: J; None of a system that conserves nothing.
         periods: range of minimal periods, s.
         atlas: the SQLite file.
@@ -345,10 +350,10 @@ def search(
         parameters: values of physical parameters by name; every combination is searched, at every energy.
 
     Returns:
-        `summary` of these searches, `tallies` by energy and parameters, `atlas`.
+        `summary` of these searches, `tallies` by energy and parameters, `atlas`; `refused` where others were searched.
 
     Raises:
-        InputError: for energies that cannot be reached and settings that contradict each other.
+        InputError: for energies none of which can be reached and settings that contradict each other.
 
     Examples:
         >>> found = of.search(pendulum, -18.0, (0.9, 2.5), "double.sqlite", starts=6, workers=0)
@@ -359,8 +364,9 @@ def search(
     See Also:
         `of.Atlas` to look into the file; `of.least_unstable` for one orbit only.
     """
-    part = shard_from(shard)
-    shells = levels(model, energies)
+    part, asked = shard_from(shard), statement(model) if isinstance(model, Problem) else {}
+    model = model.model if isinstance(model, Problem) else model
+    shells = levels(model, energies, bool(asked))
     check_request(shells, starts, budget, seed, workers)
     budget = DEFAULT_BUDGET if starts is None and budget is None else budget
     points = list(itertools.product(shells, grid(model, parameters or {})))
@@ -369,24 +375,33 @@ def search(
     for name, pair in (section or {}).items():
         check_range(f"search.section.{name}", pair)
     where = {name: (float(pair[0]), float(pair[1])) for name, pair in (section or {}).items()}
-    tallies, ids = [], []
+    tallies, ids, refused = [], [], list[tuple[float, Mapping[str, float], InputError]]()
     listening(scheduler if executor is None else None)  # before an atlas is made
     with Atlas(atlas, write=True, model=model) as book:
         for energy, values in points:
-            there = with_parameters(model, values)
-            target = Target(energy, (float(periods[0]), float(periods[1])), where, int(cycles))
+            target = Target(energy, (float(periods[0]), float(periods[1])), where, int(cycles), asked)
+            try:
+                there = with_parameters(model, values)
+                context = context_of(there, target)
+            except InputError as error:  # of this energy and these parameters; others may do
+                refused.append((energy, values, error))
+                if len(refused) == len(points):
+                    raise refused[0][2] from None
+                continue
             request = Request(dict(there.system), target, int(seed), None if folder is None else str(folder))
-            context = context_of(there, target)
             told = None if progress is None else partial(progress, energy)
             run = Search(book, request, context, limits, told, values)
             with contextlib.closing(employed(context, request, workers, scheduler, executor)) as crew:
                 tallies.append((energy, run.run(crew)))
             ids.append(run.id)
-        return Found(Path(atlas), tuple(tallies), summarise(book, ids))
+        why = tuple((energy, values, str(error)) for energy, values, error in refused)
+        return Found(Path(atlas), tuple(tallies), summarise(book, ids), why)
 
 
-def levels(model: Model, energies: float | Sequence[float] | None) -> tuple[float, ...]:
+def levels(model: Model, energies: float | Sequence[float] | None, controlled: bool = False) -> tuple[float, ...]:
     """The energies (J) to search at, 0 alone where none is conserved. Raises `InputError`."""
+    if controlled and energies is not None:
+        raise InputError("energy: controlled motions conserve none; leave it out, or pin it in the problem")
     if model.invariants or energies is not None:
         if not model.invariants and (model.rates is not None or model.forced or not model.smooth):
             raise InputError("energy: this system conserves none; leave it out")

@@ -21,6 +21,7 @@ from orbitfinder.loops.symmetry import USUAL
 from orbitfinder.mechanics.hybrid import as_recorded
 from orbitfinder.mechanics.model import Model, between, wrapped
 from orbitfinder.mechanics.scales import alone
+from orbitfinder.orbits.certify import shown
 from orbitfinder.orbits.course import course, sampled
 from orbitfinder.orbits.measure import dense
 from orbitfinder.records.orbit import Orbit, level, unconserved
@@ -111,13 +112,12 @@ def neighbours(bins: tuple[int, int]) -> tuple[list[int], list[int]]:
 
 def signature_of(orbit: Orbit, model: Model) -> Signature:
     """The signature of an orbit over its minimal period; integrated again when it carries no samples."""
+    given = shown(orbit, model)
     if not model.smooth:
-        return _of_arcs(orbit, as_recorded(model, orbit.system))
-    times, samples = orbit.times, orbit.samples
-    if len(samples) < 2:
-        times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
+        return _of_arcs(orbit, as_recorded(model, orbit.system), given)
+    times, samples = given or dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
     return Signature(
-        energy=0.0 if model.forced else level(orbit.energy) if unconserved(orbit) else orbit.energy,
+        energy=0.0 if model.forced or orbit.control else level(orbit.energy) if unconserved(orbit) else orbit.energy,
         period=orbit.period,
         action=abs(orbit.action),
         loop=resampled(times, samples, model.degrees_of_freedom),
@@ -125,16 +125,14 @@ def signature_of(orbit: Orbit, model: Model) -> Signature:
     )
 
 
-def _of_arcs(orbit: Orbit, model: Model) -> Signature:
+def _of_arcs(orbit: Orbit, model: Model, given: tuple[np.ndarray, np.ndarray] | None) -> Signature:
     """The signature of a hybrid orbit, from event to event."""
-    times, samples = orbit.times, orbit.samples
-    if len(samples) < 2:
-        times, samples = sampled(model, orbit.state, orbit.period)
+    times, samples = given or sampled(model, orbit.state, orbit.period)
     pieces, moments = course(model, times, samples).pieces, np.linspace(0.0, 1.0, ARC_SAMPLES)
     loop = [between(piece.times, piece.states, model.degrees_of_freedom, piece.times[0] + moments * np.ptp(piece.times))
             for piece in pieces]  # fmt: skip
     return Signature(
-        energy=orbit.energy if model.invariants else 0.0,
+        energy=orbit.energy if model.invariants and orbit.control is None else 0.0,
         period=orbit.period,
         action=abs(orbit.action),
         loop=np.vstack(loop),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -16,6 +17,7 @@ from scipy.optimize import brentq
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.abreast import Course, Marched, alone
+from orbitfinder.atlas.controlled import Controlled, problem_of
 from orbitfinder.atlas.regions import Attractor, Region, region_of
 from orbitfinder.atlas.sections import TURNS as TURNED
 from orbitfinder.atlas.sections import EventSection
@@ -99,6 +101,8 @@ class Target:
     periods: tuple[float, float]
     section: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     cycles: int = CYCLES
+    problem: Mapping[str, Any] = field(default_factory=dict)
+    """of controlled motions what is asked of them, as plain values"""
 
 
 @dataclass(frozen=True)
@@ -127,6 +131,8 @@ class Context:
     """where the states of a first-order system are drawn from"""
     section: EventSection | None = None
     """where those of a hybrid one are, and its orbits found"""
+    controlled: Controlled | None = None
+    """where controlled motions start, and what they lead to"""
     settings: SearchSettings = SearchSettings()
 
     @property
@@ -175,10 +181,14 @@ class SearchStart:
     state: np.ndarray
     period: float
     course: tuple[str, ...] = ()
+    problem: Problem | None = None
+    """of a controlled motion, with its guess"""
 
 
 def context_of(model: Model, target: Target) -> Context:
     """The shared part of a search. Raises `InputError` for systems and energies that cannot be searched."""
+    if target.problem:
+        return _steered(model, target)
     check(model, target)
     if not model.smooth:
         return _cut(model, target)
@@ -252,6 +262,15 @@ def _cut(model: Model, target: Target) -> Context:
     return Context(model, target, place, np.zeros((place.size, 0)), TURNED, section.lengths, section=section)
 
 
+def _steered(model: Model, target: Target) -> Context:
+    """The shared part of a search of controlled motions."""
+    check_periods(target)
+    made = Controlled.of(problem_of(model, target.problem), target.periods)
+    size = model.degrees_of_freedom
+    place, none = np.zeros(size), np.zeros((size, 0))
+    return Context(model, target, place, none, made.strategies, made.extents[:size], controlled=made)
+
+
 def shell_lengths(model: Model, place: np.ndarray, energy: float) -> np.ndarray:
     """What coordinates (n) are measured in at an energy: rad, and lengths given or in which V(q) comes to E from rest.
 
@@ -307,9 +326,7 @@ def calibrated(context: Context) -> float:
 
 def check(model: Model, target: Target) -> None:
     """`InputError` when a model has no energy shells, or when the target makes no sense."""
-    low, high = target.periods
-    if not (np.isfinite(high) and 0 < low < high):
-        raise InputError(f"search.period: must be two increasing positive numbers, got {low:g}, {high:g}; in s")
+    check_periods(target)
     if not np.isfinite(target.energy):
         raise InputError(f"energy: must be finite, got {target.energy}; give a number in J")
     if not model.smooth:
@@ -330,6 +347,13 @@ def check(model: Model, target: Target) -> None:
         )
 
 
+def check_periods(target: Target) -> None:
+    """`InputError` for what is no range of periods."""
+    low, high = target.periods
+    if not (np.isfinite(high) and 0 < low < high):
+        raise InputError(f"search.period: must be two increasing positive numbers, got {low:g}, {high:g}; in s")
+
+
 def make_start(context: Context, seed: int, index: int) -> SearchStart:
     """The start with this number; `ConvergenceError` when its strategy proposes none."""
     return alone(proposed(context, seed, index))
@@ -339,6 +363,10 @@ def proposed(context: Context, seed: int, index: int) -> Course[SearchStart]:
     """The same as a course."""
     name = strategy_of(context, index)
     random = np.random.default_rng([seed, index])
+    if context.controlled is not None:
+        problem = context.controlled.drawn(name, random)
+        state, period = np.asarray(problem.guess.state), problem.guess.period
+        return SearchStart(index, name, problem.symmetry, state, period, problem=problem)
     if context.section is not None:
         returned = context.section.returns(name, random)
         return SearchStart(index, name, NONE.name, returned.state, returned.period, returned.course)

@@ -30,7 +30,6 @@ from orbitfinder.records.orbit import (
     orbit_from_document,
     orbit_to_document,
     recorded_proof,
-    refuse_controlled,
 )
 from orbitfinder.records.reading import LARGEST_INTEGER, inflated, is_number, json_document, read_as, walked
 
@@ -53,7 +52,8 @@ class AtlasRow:
     """One line of an atlas: an orbit in a few numbers (SI units), `instability` its largest |multiplier|.
 
     `signature` says how often each coordinate turns back in a period (see `signature.in_words`), `proof` the stability
-    that is proved of it; "" where that was not asked; `parameters` are those that are not the system's own, in JSON.
+    that is proved of it; "" where that was not asked; `parameters` are those that are not the system's own, in JSON;
+    `cost` is that of a controlled orbit.
     """
 
     id: int
@@ -67,6 +67,7 @@ class AtlasRow:
     signature: str
     proof: str
     parameters: str
+    cost: float | None = None
 
 
 COLUMNS = tuple(AtlasRow.__dataclass_fields__)
@@ -263,6 +264,12 @@ class Atlas(Shown):
             self._model = build_model(self.system, self._trusted)
         return self._model
 
+    @property
+    def controlled(self) -> bool:
+        """Whether it is of controlled motions."""
+        return bool(self.select([int], "SELECT 1 FROM orbits WHERE cost IS NOT NULL UNION SELECT 1 FROM searches WHERE "
+                                       "json_extract(method, '$.control') IS NOT NULL"))  # fmt: skip
+
     def _repr_html_(self) -> str | None:
         """How a notebook shows it."""
         return html(self)
@@ -351,7 +358,7 @@ class Atlas(Shown):
         numbers = [
             periods, actions, signature.energy, orbit.period, orbit.action, orbit.symmetry, orbit.stability,
             float(np.abs(orbit.floquet_multipliers).max(initial=1.0)), orbit.closure, in_words(orbit, signature),
-            proved(document), signature.parameters, compressed(document),
+            proved(document), signature.parameters, (orbit.control or {}).get("cost"), compressed(document),
         ]  # fmt: skip
         return self.put(numbers)
 
@@ -377,7 +384,6 @@ class Atlas(Shown):
 
     def add(self, orbit: Orbit) -> tuple[int, bool]:
         """The id of an orbit, and True when it was new to this atlas."""
-        refuse_controlled(orbit, "atlas")
         signature = signature_of(orbit, self.model)
         with explained(self.path), transaction(self.connection):
             known = self.look_up(signature)

@@ -66,6 +66,9 @@ ALTER TABLE orbits ADD COLUMN proof TEXT NOT NULL DEFAULT '';
     """
 ALTER TABLE orbits ADD COLUMN parameters TEXT NOT NULL DEFAULT '';
 """,
+    """
+ALTER TABLE orbits ADD COLUMN cost REAL;
+""",
 )
 """Scripts that raise the version by one each; a published one is never edited, only followed by another."""
 VERSION = len(MIGRATIONS)

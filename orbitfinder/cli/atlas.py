@@ -93,12 +93,14 @@ def list_orbits(book: Path, order: str, **options: Any) -> None:
     energy, period, acts = (worded(name, system) for name in ("energy (J)", "period (s)", "action (J s)"))
     action, closure = (f" {acts:>13}", f" {'closure':>9}") if wide else ("", "")
     head = f"{'id':>6} {energy:>12} {period:>14}{action}  {'symmetry':<18}{'stability':<11}"
-    text(f"{head}{'largest |mu|':>12}{closure}")
+    costly = any(row.cost is not None for row in rows)
+    text(f"{head}{'largest |mu|':>12}{closure}" + f" {'cost':>13}" * costly)
     for row in rows:
         action, closure = (f" {row.action:>13.6f}", f" {row.closure:>9.1e}") if wide else ("", "")
         text(
             f"{row.id:>6} {row.energy:>12.6g} {row.period:>14.9f}{action}  {row.symmetry:<18}"
             f"{row.stability:<11}{row.instability:>12.4g}{closure}"
+            f"{'' if row.cost is None else f' {row.cost:>13.9g}'}"
             f"{parameters_in_words(row.parameters, '  ')}"
         )
     text(plural(len(rows), "orbit"))
@@ -134,6 +136,8 @@ def show(book: Path, number: int, trust: bool) -> None:
         text(f"  {key:<22}{worded(line, document['system'])}")
     for name, value in named_state(document, names).items():
         text(f"  {name:<22}{value:.12g}")
+    if row.cost is not None:
+        text(f"  {'cost':<22}{row.cost:.12g}, of {document['control']['cost_of']}")
     text(f"  {'signature':<22}{row.signature}")
     claim = proved(document)
     said = f"{claim}, as recorded; orbitfinder verify --proof {book}#{number} does it again" if claim else "none"

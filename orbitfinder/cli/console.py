@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 
+SPEAK_EVERY = 5.0
+"""Seconds between two lines of progress where there is no terminal."""
+
+
 @dataclass(frozen=True)
 class Report:
     """How far a command has come: a line, and rows of cells for the table on a terminal."""
@@ -89,6 +93,27 @@ def time_left(*before: float) -> Callable[[float, float], str]:
         return f", {(time.monotonic() - began) / fresh * (total - done):.0f} s left"
 
     return said
+
+
+def way_left(most: int, until: float | None, *before: float) -> Callable[..., str]:
+    """The same of steps with their values, at most so many or until a value is reached."""
+    left, values = time_left(*before), list[float]()
+
+    def said(*latest: float) -> str:
+        values.extend(latest)
+        if until is None:
+            return left(len(values), most)
+        return left(abs(values[-1] - values[0]), abs(until - values[0]))
+
+    return said
+
+
+@contextlib.contextmanager
+def counted(title: str, what: str) -> Iterator[Callable[[int, int], None]]:
+    """What shows how many of something are done, and the time left."""
+    with display(title, SPEAK_EVERY, refresh=0.25) as shown:
+        left = time_left()
+        yield lambda done, whole: shown.show(Report(f"{done} of {whole} {what}{left(done, whole)}"))
 
 
 def _said(write: Callable[[str], object], line: str) -> None:

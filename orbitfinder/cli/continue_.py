@@ -14,7 +14,7 @@ import click
 import orbitfinder as of
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.keeping import kept
-from orbitfinder.cli.console import Display, Report, display, time_left
+from orbitfinder.cli.console import Display, Report, display, way_left
 from orbitfinder.cli.equilibria import followed_rest
 from orbitfinder.cli.jobs import folder_of, model_of, named_orbits, whole_family
 from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, numbers, option, picked, text, usual
@@ -218,11 +218,14 @@ def _optima(
             raise InputError(f"--{name}: not for controlled problems; --until and --at say where to go")
     folder = folder_of(out, chosen["name"] or problem.name, *NAMED)
     target = folder / "optima.json"
+    until = chosen["until"]
+    left = way_left(len(values), None, 0.0) if until is None else way_left(points, until)
     with display(f"{problem.name}: along {parameter}") as shown, kept(target, of.save_optima):
 
         def report(value: float, orbit: of.Orbit) -> None:
             cost = float((orbit.control or {})["cost"])
-            shown.say(f"{parameter} {value:.9g}, cost {cost:.9g}, period {orbit.period:.9g} s, {orbit.stability}")
+            words = f"{parameter} {value:.9g}, cost {cost:.9g}, period {orbit.period:.9g} s, {orbit.stability}"
+            shown.say(words + left(value))
 
         optima = of.follow_optima(
             problem, parameter, values, until=chosen["until"], points=points, progress=report, name=folder.name, out=out
@@ -342,7 +345,7 @@ def _reporter(
     """A live panel with the last events, or, without a terminal, a line an event and a line every ten points; `steps`
     grows by each that is taken."""
     began, seen, events, system = time.monotonic(), [0], list[Event](), dict[str, Any]()
-    left, values = time_left(0.0), list[float]()
+    left = way_left(most, until, 0.0)  # each way has so many at most
 
     def report(batch: Batch) -> None:
         interrupt.check()
@@ -356,11 +359,7 @@ def _reporter(
             return
         point, elapsed = batch.points[-1], time.monotonic() - began
         value = with_unit(point.value, parameter, system)
-        values[:] = values or [batch.points[0].value]
-        if until is None:
-            told = f"{elapsed:.1f} s elapsed{left(seen[0], most)}"  # each way has so many at most
-        else:
-            told = f"{elapsed:.1f} s elapsed{left(abs(point.value - values[0]), abs(until - values[0]))}"
+        told = f"{elapsed:.1f} s elapsed{left(*(each.value for each in batch.points))}"
         if shown.live:
             ordered = sorted(events, key=attrgetter("arclength"))  # as they are numbered in family.json
             rows = [

@@ -3,8 +3,6 @@ settle to along one."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +10,9 @@ import click
 
 import orbitfinder as of
 from orbitfinder._runtime.keeping import kept
-from orbitfinder.cli.console import Report, display, time_left
+from orbitfinder.cli.console import counted
 from orbitfinder.cli.jobs import folder_of
 from orbitfinder.cli.options import FILES, finish, next_step, option, text, trusted, usual
-from orbitfinder.cli.search import SPEAK_EVERY
 from orbitfinder.cli.section import DIRECTIONS
 from orbitfinder.cli.sweep import parameter, shard_option, sharded
 from orbitfinder.errors import InputError
@@ -58,7 +55,7 @@ def map_(
     values |= mine
     folder = folder_of(out, loaded.wanted.name)
     title = f"{loaded.wanted.name}: {' over '.join(reversed(values))}"
-    with kept(folder / "map.json", of.save_map), _counted(title, "pixels") as report:
+    with kept(folder / "map.json", of.save_map), counted(title, "pixels") as report:
         made = of.map_plane(
             loaded.wanted,
             values,
@@ -76,14 +73,6 @@ def map_(
     document = {"name": made.name, "parameters": made.parameters, "counts": made.counts, "failures": made.failures,
                 "written": written}  # fmt: skip
     finish("map", document, not made.failures)
-
-
-@contextlib.contextmanager
-def _counted(title: str, what: str) -> Iterator[Callable[[int, int], None]]:
-    """What shows how many of something are done, and the time left."""
-    with display(title, SPEAK_EVERY, refresh=0.25) as shown:
-        left = time_left()
-        yield lambda done, whole: shown.show(Report(f"{done} of {whole} {what}{left(done, whole)}"))
 
 
 @click.command()
@@ -130,7 +119,7 @@ def bifurcation(
     values, out = sharded(dict([parameter(given)]), shard, out)
     lines = [of.load_family(family) for family in families]
     folder = folder_of(out, loaded.name)
-    with kept(folder / "bifurcation.json", of.sections.save_bifurcation), _counted(
+    with kept(folder / "bifurcation.json", of.sections.save_bifurcation), counted(
         f"{loaded.name}: {', '.join(values)} by brute force", "motions"
     ) as report:  # fmt: skip
         made = of.bifurcation(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import click
 
 import orbitfinder as of
 from orbitfinder._runtime import interrupt
-from orbitfinder.cli.console import Report, display
+from orbitfinder.cli.console import SPEAK_EVERY, Report, display
 from orbitfinder.cli.options import FILES, finish, next_step, option, text, trusted, usual
 from orbitfinder.cli.sweep import parameter
 from orbitfinder.errors import InputError, plural
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from orbitfinder.atlas.search import SearchStatistics
     from orbitfinder.problemfile.read import ProblemFile
 
-SPEAK_EVERY = 5.0
-"""Seconds between two lines of progress where there is no terminal."""
 REASONS_SHOWN = 8
 MISSING = "search: missing; add a [search] table with period = [shortest, longest]"
 
@@ -65,7 +64,9 @@ def search(
     """Search for all periodic orbits of the system of a problem FILE, at its energies and periods.
 
     Every orbit found is certified and, when it is new, written to the atlas. The starts depend on the
-    seed alone, not on the number of workers. The same command goes on where it was stopped, or killed.
+    seed alone, not on the number of workers. The same command goes on where it was stopped, or killed. Of a problem
+    with [control] the optima near many guesses are looked for. Exit code 1: an energy cannot be reached at some
+    parameters; what can be is searched.
     Shards know nothing of each other: give each an atlas of its own, and join them by `atlas merge`.
 
     \b
@@ -86,15 +87,19 @@ def search(
             raise InputError(f"{file}: {MISSING}")
         loaded = load_problem_file(file, trust)
         energies, periods = wanted(loaded)
+        wished = loaded.wanted if steered(loaded) else loaded.model
+        conserved = isinstance(wished, of.Model) and bool(wished.invariants)
 
         def report(energy: float, tally: SearchStatistics) -> None:
             interrupt.check()
-            shown.show(progress(energy, tally, bool(loaded.model.invariants)))
+            shown.show(progress(energy, tally, conserved))
 
-        result = of.search(loaded.model, energies, periods, book, starts=starts, budget=budget, folder=folder,
+        result = of.search(wished, energies, periods, book, starts=starts, budget=budget, folder=folder,
                           progress=report, parameters=parameters, **how, **sections(loaded))  # fmt: skip
+    for energy, values, why in result.refused:
+        text(f"{level(energy, conserved, values)}: not searched: {why}")
     for energy, tally in result.tallies:
-        where = level(energy, bool(loaded.model.invariants), tally)
+        where = level(energy, conserved, tally.parameters)
         text(
             f"{where}: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, {plural(tally.new, 'new orbit')}, "
             f"{plural(tally.duplicates, 'time')} a known one, {sum(tally.failures.values())} failed"
@@ -110,14 +115,16 @@ def search(
         }
         for energy, tally in result.tallies
     ]  # fmt: skip
-    finish("search", {"atlas": str(result.atlas), "runs": runs, "summary": result.summary.document()})
+    refused = [{"energy": energy, "parameters": dict(values), "reason": why} for energy, values, why in result.refused]
+    document = {"atlas": str(result.atlas), "runs": runs, "refused": refused, "summary": result.summary.document()}
+    finish("search", document, not refused)
 
 
-def level(energy: float, conserved: bool, tally: SearchStatistics) -> str:
+def level(energy: float, conserved: bool, parameters: Mapping[str, float]) -> str:
     """An energy and parameters in words."""
     from orbitfinder.atlas.store import as_words, parameters_in_words
 
-    return (f"{energy:g} J" if conserved else "any energy") + parameters_in_words(as_words(tally.parameters), ", ")
+    return (f"{energy:g} J" if conserved else "any energy") + parameters_in_words(as_words(parameters), ", ")
 
 
 def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]]:
@@ -125,6 +132,8 @@ def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]
     table = loaded.document.get("search", {})
     if loaded.search is None:
         raise InputError(f"{loaded.path}: {MISSING}")
+    if steered(loaded):
+        return table.get("energy"), loaded.search
     energy = table.get("energy", (loaded.document.get("find", {}).get("pin") or {}).get("energy"))
     general = loaded.model.rates is not None or loaded.model.forced or not loaded.model.smooth
     if energy is None and general and not loaded.model.invariants:
@@ -132,6 +141,11 @@ def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]
     if energy is None:
         raise InputError(f"{loaded.path}: search.energy: missing; give the energy in J, or find.pin.energy")
     return [float(value) for value in (energy if isinstance(energy, list) else [energy])], loaded.search
+
+
+def steered(loaded: ProblemFile) -> bool:
+    """Whether a problem file is about controlled motions."""
+    return loaded.problem is not None and loaded.problem.control is not None
 
 
 def sections(loaded: ProblemFile) -> dict[str, Any]:
@@ -142,13 +156,14 @@ def sections(loaded: ProblemFile) -> dict[str, Any]:
 def progress(energy: float, tally: SearchStatistics, conserved: bool = True) -> Report:
     """How far a search has come."""
     made, failed, left = tally.made, sum(tally.failures.values()), tally.left
+    where = level(energy, conserved, tally.parameters)
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
     line = (
-        f"{level(energy, conserved, tally)}: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
+        f"{where}: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
         f"{tally.duplicates} known, {failed} failed, {plural(tally.orbits, 'orbit')} in the atlas, {rate} starts/s"
     ) + (remaining and f", {remaining} left")
     rows = [
-        ("energy", level(energy, conserved, tally)), ("starts", f"{made}"),
+        ("energy", where), ("starts", f"{made}"),
         ("hits", f"{tally.hits}"), ("new orbits", f"{tally.new}"),
         ("known orbits", f"{tally.duplicates}"), ("orbits in the atlas", f"{tally.orbits}"),
         ("starts a second", rate), ("time left", remaining),

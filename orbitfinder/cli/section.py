@@ -10,6 +10,7 @@ import click
 import orbitfinder as of
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.keeping import kept
+from orbitfinder.cli.console import counted
 from orbitfinder.cli.continue_ import origin_of
 from orbitfinder.cli.jobs import folder_of, named_orbits, orbit_and_model
 from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, option, picked, text, usual
@@ -75,10 +76,10 @@ def section(
     origin, model = origin_of(file, trust)
     together = drawn(others, trust)
     folder = folder_of(out, origin.name)
-    with kept(folder / "section.json", save_section):
+    with kept(folder / "section.json", save_section), counted(f"{origin.name}: section", "returns") as report:
         made = of.section(
             origin, energy, **chosen_plane(**shown), seeds=seeds, returns=returns, ranges=limits(ranges), model=model,
-            out=out,
+            out=out, progress=report,
         )  # fmt: skip
         interrupt.check()
         written = [save_section(made, folder / "section.json")]

@@ -9,7 +9,7 @@ import click
 
 import orbitfinder as of
 from orbitfinder._runtime.keeping import kept
-from orbitfinder.cli.console import display
+from orbitfinder.cli.console import display, way_left
 from orbitfinder.cli.jobs import folder_of, orbit_and_model
 from orbitfinder.cli.options import FILES, FINITE, finish, option, picked, text, usual
 from orbitfinder.errors import InputError
@@ -47,11 +47,13 @@ def torus(
     from orbitfinder.structures.tori import torus_value
 
     origin, model, label = _origin(file, trust)
-    folder = folder_of(out, name or label)
+    folder, left = folder_of(out, name or label), way_left(points, until)
+    along = how["parameter"] or ("energy" if how["hold"] == "rotation" else "rotation")
     with display(f"{folder.name}: tori from {file}") as shown, kept(folder / "tori.json", of.save_tori):
 
         def report(torus: of.Torus) -> None:
-            shown.say(f"rotation {torus.rotation:.9g}, energy {torus.energy:.9g}, {len(torus.curve)} states")
+            words = f"rotation {torus.rotation:.9g}, energy {torus.energy:.9g}, {len(torus.curve)} states"
+            shown.say(words + left(torus_value(torus, along)))
 
         family = of.follow_tori(
             origin, until=until, model=model, progress=report, name=folder.name, out=out,

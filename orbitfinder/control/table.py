@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbitfinder.control.find import controlled_samples
 from orbitfinder.control.optimum import Optima
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.certify import shown
 from orbitfinder.records.certificate import certified
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.table import Tables, entries, extent_columns, known_levels, placed, verdict_columns
@@ -21,7 +21,9 @@ def optima_tables(optima: Optima, model: Model | None = None) -> Tables:
     def states(point: Orbit, value: float) -> np.ndarray:
         values = {**point.provenance.get("free", {}), optima.parameter: float(value)}
         there = with_parameters(model, {name: x for name, x in values.items() if name in model.parameter_names})
-        return (point.samples if len(point.samples) > 1 else controlled_samples(point, there)[1])[:, :n]
+        given = shown(point, there)
+        assert given is not None
+        return given[1][:, :n]
 
     moved = [states(*each) for each in zip(points, optima.values, strict=True)]
     low, high = (np.array([bound(rows, axis=0) for rows in moved]) for bound in (np.min, np.max))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from orbitfinder._runtime.sizes import size_of
-from orbitfinder.control.find import ControlledEvidence, gather_controlled
+from orbitfinder.control.find import ControlledEvidence, controlled_samples, gather_controlled
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import (
@@ -114,4 +114,6 @@ def _costate_off(orbit: Orbit, seen: ControlledEvidence) -> float:
     return float(max([*np.abs((claimed - fit.costate) * seen.extents) / fit.size, *apart]))
 
 
-VERIFIERS["controlled"] = Verifier(lambda orbit, model: orbit.control is not None, _gathered, _checks)
+VERIFIERS["controlled"] = Verifier(
+    lambda orbit, model: orbit.control is not None, _gathered, _checks, shown=controlled_samples
+)

@@ -19,7 +19,7 @@ from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified as with_certificate
-from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.certify import certify, shown
 from orbitfinder.orbits.course import course, sampled
 from orbitfinder.orbits.measure import dense
 from orbitfinder.records.family import Batch, Event, Family, FamilyPoint
@@ -74,6 +74,8 @@ def _alone(point: FamilyPoint, **changed: Any) -> Orbit:
 def _period(orbit: Orbit, model: Model, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Times and states over one period: of a point of a family by its shooting nodes, `count` of them; of a hybrid
     orbit those of its simulation."""
+    if not isinstance(orbit, FamilyPoint) and (given := shown(orbit, model)) is not None:
+        return given
     if not model.smooth:
         return sampled(model, orbit.state, orbit.period)
     if not isinstance(orbit, FamilyPoint) or not (orbit.curve and orbit.mesh.size):

@@ -185,12 +185,23 @@ class Verifier:
     """(`Trial`) -> the checks"""
     missing: str = "integration"
     """the check that fails where there is no such motion"""
+    shown: Callable[[Orbit, Model], tuple[np.ndarray, np.ndarray]] | None = None
+    """(orbit, model) -> times and states of its period by the record alone, where the Model alone moves otherwise"""
 
 
 def verifier_of(orbit: Orbit, model: Model) -> Verifier:
     """The `Verifier` of an orbit: the latest entry that suits it."""
     filled("verifiers")
     return next(verifier for verifier in reversed(VERIFIERS.values()) if verifier.suits(orbit, model))
+
+
+def shown(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times (k, s) and states (k x d) of a period: an orbit's samples, else those that its record makes; None where the
+    motion from its nodes is that."""
+    if len(orbit.samples) > 1:
+        return orbit.times, orbit.samples
+    make = verifier_of(orbit, model).shown
+    return None if make is None else make(orbit, model)
 
 
 def _through_impacts(orbit: Orbit, model: Model, turns: np.ndarray) -> tuple[HybridEvidence, float]:

@@ -103,6 +103,7 @@ def orbit_text(document: Mapping[str, Any], expected: bool = True) -> str | None
         **({"units": system["units"]} if system.get("units") else {}),
         "guess": {"state": document["state"], "period": period},
         "find": _find(document),
+        **({"control": _control(document["control"])} if document.get("control") else {}),
     }
     if expected:
         tables["expected"] = {"period": {"value": period, "tolerance": 1e-9}}
@@ -123,9 +124,23 @@ def _find(document: Mapping[str, Any]) -> dict[str, Any]:
         pin = {"energy": float(document["energy"])} if kept else {}
     turns = [int(k) for k in document.get("winding") or ()]
     chosen = ({"pin": pin} if pin else {}) | ({"winding": turns} if any(turns) else {})
+    if steered := document.get("control"):
+        chosen |= {key: steered[key] for key in ("free", "bounds") if steered.get(key)}
+        chosen |= {"symmetry": document["symmetry"]}
     if document.get("shift"):
         chosen["relative"] = list(document["shift"])
     return chosen | {"tolerance": float(document.get("tolerance", 1e-12))}
+
+
+def _control(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """The `[control]` of a controlled orbit, which begins at its own coefficients."""
+    same = ("shape", "intervals", "harmonics", "average", "final", "method", "numbers")
+    return {
+        "cost": entry["cost_of"],
+        **{key: entry[key] for key in same if key in entry and entry[key] != ""},
+        "guess": dict(zip(entry["names"], entry["coefficients"], strict=True)),
+        **({"task": entry["tasks"]} if entry["tasks"] else {}),
+    }
 
 
 def _line(text: Any) -> str:

@@ -33,7 +33,7 @@ def largest(orbit: Orbit) -> float:
 def conserves(atlas: Atlas) -> bool:
     """Whether an energy is conserved, True where nothing is known of the system."""
     try:
-        return atlas.model.conservative
+        return atlas.model.conservative and not atlas.controlled
     except OrbitfinderError:
         return True
 

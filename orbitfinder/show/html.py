@@ -23,6 +23,7 @@ from orbitfinder.loops.problem import Count, Problem
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, between, positions
 from orbitfinder.mechanics.scales import unit_names, worded
+from orbitfinder.orbits.certify import shown
 from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.orbits.simulate import Simulation
 from orbitfinder.orbits.sweep import Sweep
@@ -247,8 +248,8 @@ def range_of(portraits: Sequence[Portrait]) -> tuple[np.ndarray, np.ndarray]:
 
 def _period(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Times and states over a period, integrated from the state where none are recorded."""
-    if len(orbit.samples) > 1:
-        return orbit.times, orbit.samples
+    if (given := shown(orbit, model)) is not None:
+        return given
     if not model.smooth:
         return sampled(model, orbit.state, orbit.period)
     return np.linspace(0.0, orbit.period, SAMPLES), sample(build_flow(model), orbit.state, orbit.period, SAMPLES)

@@ -237,7 +237,8 @@ def _complete(entry: SiteOrbit, simulator: Simulator, links: Sequence[Card]) -> 
     near += [(f"../{link.href}", f"{link.kind} {link.title}") for link in links
              if link.system == same(document["system"]) and f"{link.kind} {link.title}" not in own]  # fmt: skip
     return replace(
-        entry, near=tuple(dict.fromkeys((*near, *entry.near))), conserved=simulator.conserves(document["system"]),
+        entry, near=tuple(dict.fromkeys((*near, *entry.near))),
+        conserved=simulator.conserves(document["system"], document),
         energies=motion.energies if motion else None,
         neighbour=simulator.neighbour(document, motion) if motion else None,
         landscape=landscape(simulator.known(document["system"]), framed([packed(motion)])) if motion else None,
@@ -364,7 +365,7 @@ def _add_atlas(
         command = f"orbitfinder verify {atlas.file}#{place}"
         if not atlas.file.endswith(".json"):
             command = f"orbitfinder atlas show {atlas.file} {place}"
-        known = simulator.conserves(file.document["system"])
+        known = simulator.conserves(file.document["system"], file.document)
         motion = simulator.orbit(file.document)
         key = f"orbit={place}"
         own = ((f"../{path}#{key}", f"Atlas {atlas.name}"), *_passing(file.document, links))

@@ -22,9 +22,10 @@ from orbitfinder.loops.symmetry import NONE, named, symmetries_of
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model, altered, energies, vector_field
 from orbitfinder.mechanics.scales import shared
+from orbitfinder.orbits.certify import shown
 from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
-from orbitfinder.records.orbit import Orbit, orbit_to_document
+from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_to_document
 from orbitfinder.show.scene import (
     BRUSHES,
     Scene,
@@ -146,12 +147,15 @@ class Simulator:
         if known is None:
             return None if dense is None else _motion(_without_model(dense[1]), *dense, returns=True)
         model, field = known
+        if document.get("control"):  # its Model alone moves otherwise
+            dense = dense or shown(orbit_from_document(document), model)
         if not model.smooth:
             return _jumping(model, np.asarray(document["state"], float), period, dense)
         nodes = np.asarray(document.get("nodes") or [document["state"]], float)
         if nodes.ndim != 2 or nodes.shape[1] != len(model.state_names):
             return None
-        path = _pieces(field, nodes, np.linspace(0.0, period, len(nodes) + 1)) or dense
+        path = None if document.get("control") else _pieces(field, nodes, np.linspace(0.0, period, len(nodes) + 1))
+        path = path or dense
         if path is None or not _closes(path[1], model):
             return None
         return _motion(model, *path)
@@ -167,7 +171,8 @@ class Simulator:
         It starts where small differences grow most: a difference is sent round twice and made small again.
         """
         known, period = self.model(document["system"]), motion.period
-        if known is None or motion.course.jumps or not motion.loops or known[0].forced:
+        alone = known is not None and not (known[0].forced or document.get("control"))
+        if known is None or not alone or motion.course.jumps or not motion.loops:
             return None
         model, field = known
         state, sizes = motion.states[0], np.ptp(motion.states, axis=0)
@@ -184,10 +189,10 @@ class Simulator:
             return None
         return _motion(model, np.linspace(0.0, TURNS * period, len(path)), path, returns=False)
 
-    def conserves(self, system: Mapping[str, Any]) -> bool:
-        """Whether an energy is conserved, True where nothing is known of the system."""
+    def conserves(self, system: Mapping[str, Any], orbit: Mapping[str, Any] | None = None) -> bool:
+        """Whether an energy is conserved, by an `orbit` of it, True where nothing is known of the system."""
         known = self.model(system)
-        return known is None or known[0].conservative
+        return (known is None or known[0].conservative) and not (orbit or {}).get("control")
 
     def member(self, system: Mapping[str, Any], member: FamilyPoint | Event) -> Filmed | None:
         """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry.

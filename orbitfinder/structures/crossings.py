@@ -192,14 +192,15 @@ class Crossings:
         tolerance: float = FINE,
         times: np.ndarray | float = 0.0,
         path: Callable[[np.ndarray, np.ndarray, np.ndarray], None] | None = None,
-        seen: Callable[[Callable[[], Passing]], None] | None = None,
+        seen: Callable[[Callable[[], Passing], int], None] | None = None,
         track: Track | None = None,
     ) -> Passing:
         """The next `count` crossings of motions from states (k x d), none of which takes longer than `longest`.
 
         `sense` -1 goes backwards in time; the plane's direction is that of the motion forwards. Motions that leave, end
         in a singularity or do not come back have nan. `path(which, times, states)` is told every accepted step,
-        `seen` after every step how to get the crossings so far. A `track` is gone on from, and kept.
+        `seen` after every step how to get the crossings so far, and how many are done. A `track` is gone on from, and
+        kept.
         """
         run = _Run(self, plane, np.asarray(states, float), count, (longest, sense, tolerance), times)
         for line in () if track is None else track.known:
@@ -212,7 +213,7 @@ class Crossings:
                 track.add(*run.line())
                 due = run.crossed.sum() + STEPS.every * len(states)
             if seen is not None:
-                seen(run.passing)
+                seen(run.passing, run.done)
         return run.passing()
 
     def sampled(self, states: np.ndarray, step: float, count: int, *, tolerance: float = SEEN) -> np.ndarray:
@@ -256,6 +257,11 @@ class _Run:
         own, going = self._watched(self.times, self.states, self.rates)
         self.cells = plane.start(own, self.sense * going, self._unit)
         self.alive = np.isfinite(states).all(axis=1) & np.isfinite(self.rates).all(axis=1) & (count > 0)
+
+    @property
+    def done(self) -> int:
+        """Crossings that have been made, or will not be."""
+        return int(np.where(self.alive, self.crossed, self.count).sum())
 
     @property
     def _unit(self) -> float:

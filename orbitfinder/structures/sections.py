@@ -138,7 +138,7 @@ class Surface:
 
     def passing(
         self, states: np.ndarray, count: int, *, sense: int = 1, tolerance: float = SEEN,
-        seen: Callable[[Callable[[], Passing]], None] | None = None, track: Track | None = None,
+        seen: Callable[[Callable[[], Passing], int], None] | None = None, track: Track | None = None,
     ) -> Passing:  # fmt: skip
         """The next crossings of motions that begin at states (k x d)."""
         return self.motions.passing(self.plane, states, count, longest=self.longest, sense=sense, tolerance=tolerance,
@@ -290,6 +290,7 @@ def section(
     model: Model | None = None,
     name: str = "",
     out: str | Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Section:
     """The Poincare section of a system: where motions of one energy cross a plane.
 
@@ -309,6 +310,7 @@ def section(
         name: a word for files.
         out: a folder: OUT/<name>/section.jsonl keeps how far the motions have come, and what was asked before goes on
             from there, also with more seeds or returns.
+        progress: called with how many returns are done, and of how many.
 
     Returns:
         A Section: `points`, `regular`, `starts`.
@@ -346,7 +348,9 @@ def section(
             wrapped(states[known], model.angular), times[known], which, starts, growth[known],
         )  # fmt: skip
 
-    def seen(so_far: Callable[[], Passing]) -> None:
+    def seen(so_far: Callable[[], Passing], done: int) -> None:
+        if progress is not None:
+            progress(done, len(starts) * returns)
         finished(lambda: made(passing) if np.isfinite((passing := so_far()).times).any() else None)
 
     path = None if out is None else Path(out) / (name or own) / "section.jsonl"
@@ -518,8 +522,8 @@ def _closed(cut: Surface, base: np.ndarray, low: np.ndarray, high: np.ndarray, f
 
 
 def after_events(
-    model: Model, starts: np.ndarray, returns: int, seen: Callable[[Callable[[], Passing]], None] = lambda _: None,
-    track: Track = NOWHERE,
+    model: Model, starts: np.ndarray, returns: int,
+    seen: Callable[[Callable[[], Passing], int], None] = lambda *_: None, track: Track = NOWHERE,
 ) -> Passing:  # fmt: skip
     """The states of a hybrid system after the event that ends its cycle, or any event where it has no cycle.
 
@@ -542,7 +546,7 @@ def after_events(
             track.add(np.array([[k, returns]]), known[k])
         rows = known[k]
         times[k, : len(rows)], states[k, : len(rows)] = rows[:, 2], rows[:, 3:]
-        seen(lambda: Passing(times, states))
+        seen(lambda: Passing(times, states), (k + 1) * returns)
     return Passing(times, states)
 
 
