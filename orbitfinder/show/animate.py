@@ -23,9 +23,11 @@ from orbitfinder.errors import InputError
 from orbitfinder.families.members import whole
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import units
 from orbitfinder.orbits.course import course_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
+from orbitfinder.show.facts import with_unit
 from orbitfinder.show.scene import (
     BRUSHES,
     Scene,
@@ -66,6 +68,8 @@ class AnimationSettings:
 
 MOST_FRAMES = 600
 """of an animation that goes on until what comes back turned is where it was"""
+FLAT = 0.25
+"""How low over its width a picture is at least, and what moves where it is made so wide"""
 VIDEO = AnimationSettings(pixels=1080, rate=60, supersampling=2)
 """What suits an .mp4, which is small at any size"""
 
@@ -84,6 +88,8 @@ class Clip(Scene):
     """True when the last point is a fixed joint too (a linkage)"""
     slow: float = 1.0
     """how many times slower than real time"""
+    unit: str = "s"
+    """of its time, "" where the equations carry none"""
 
 
 def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
@@ -145,7 +151,8 @@ def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSett
     shown = portrait(model, course.states(moments)) if model.points is None else course.positions(moments)
     ground = course.grounds(moments) if model.points is not None else None
     return Clip(shown, settings.rate, orbit.title or orbit.name, trace, loops=bool(returns and not course.walks),
-                ground=ground, cuts=cuts_of(course, moments), strokes=model.strokes, slow=settings.slow)  # fmt: skip
+                ground=ground, cuts=cuts_of(course, moments), strokes=model.strokes, slow=settings.slow,
+                unit=units(orbit.system)["time"])  # fmt: skip
 
 
 def portrait(model: Model, states: np.ndarray) -> np.ndarray:
@@ -270,11 +277,12 @@ class _View:
         pixels, span = settings.pixels, max(float(down), float(right))
         unit = pixels / AnimationSettings.pixels  # lines of the usual size are as thick as they say
         more = (settings.supersampling, pixels, round(26 * unit), unit)
-        if not wide:
+        if not wide and down > FLAT * right:
             return _View((low + high) / 2, 0.88 * pixels / span, pixels, *more)
         pixels = round(1.6 * pixels)
         scale = 0.9 * min(pixels / right, settings.pixels / down)
-        return _View((low + high) / 2, scale, pixels, more[0], round(scale * down + 0.12 * pixels), *more[2:])
+        height = round(max(scale * down + 0.12 * pixels, FLAT * pixels))
+        return _View((low + high) / 2, scale, pixels, more[0], height, *more[2:])
 
     def place(self, points: np.ndarray) -> list[tuple[float, float]]:
         """Pixels of (2 x k) positions, supersampled."""
@@ -313,7 +321,7 @@ def _headed(pen: Any, clip: Clip, frame: int, view: _View, colours: Mapping[str,
     fonts = [ImageFont.load_default(size * view.unit) for size in (12, 11, 10, 9, 8)]
     font = next((font for font in fonts if pen.textlength(title, font=font) <= room), fonts[-1])
     pen.text((edge, round(6 * view.unit)), _fitted(title, pen, font, room), fill=colours["ink"], font=font)
-    time = f"{frame / clip.rate / clip.slow:.2f} s"
+    time = with_unit(f"{frame / clip.rate / clip.slow:.2f}", clip.unit)
     pen.text((view.pixels - edge, round(6 * view.unit)), time, fill=colours["faint"], font=fonts[0], anchor="ra")
 
 

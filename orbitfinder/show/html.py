@@ -30,9 +30,9 @@ from orbitfinder.records.certificate import Certificate
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import diagram_of
-from orbitfinder.show.facts import conserves, numbers, verdict_of
+from orbitfinder.show.facts import conserves, has_path, numbers, sides, verdict_of
 from orbitfinder.show.rest import names_of, rest_svg
-from orbitfinder.show.scene import Scene, cuts_of, equal_times, evenly
+from orbitfinder.show.scene import Scene, cuts_of, equal_times, evenly, landmarks
 from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
 from orbitfinder.structures.torus import Tori
 
@@ -178,13 +178,30 @@ def circle(orbit: Orbit) -> str:
 
 
 def motions(orbit: Orbit, model: Model | None = None) -> list[str]:
-    """Mechanism (where one is declared) and phase portrait of a period; `model` of a system that no file describes,
-    nothing without it."""
+    """Mechanism (where one is declared) or path from two sides, and phase portrait of a period; `model` of a system
+    that no file describes, nothing without it."""
     known = period_of(orbit, model)
     if known is None:
         return []
     model, seen = known
-    return [*([] if model.points is None else [mechanism(scene_of(model, seen))]), Portrait(model, seen).svg()]
+    views = views_of(model, seen) if has_path(model) else []
+    if not views and model.points is not None:
+        views = [mechanism(scene_of(model, seen))]
+    return views if len(views) > 1 else [*views, Portrait(model, seen).svg()]
+
+
+def views_of(model: Model, seen: Course) -> list[str]:
+    """The path of what moves in a plane, or from above and from the side of what moves in space, in equal scales, and
+    what is marked near it."""
+    low, high, pairs = sides(_smooth(seen)[:, : len(model.planes)])
+    drawn, middle, room = [], (low + high) / 2, 0.56 * float((high - low).max())
+    for pair in pairs[:2]:
+        view, chosen = Portrait(model, seen, pair), list(pair)
+        around = middle[chosen] - room, middle[chosen] + room
+        marks = [(name, np.array(place)[chosen]) for name, place, _ in landmarks(model)
+                 if (np.abs(np.array(place)[: len(low)] - middle) < room).all()]  # fmt: skip
+        drawn.append(view.svg(around, marks))
+    return drawn
 
 
 def period_of(orbit: Orbit, model: Model | None = None) -> tuple[Model, Course] | None:
@@ -227,9 +244,11 @@ class Portrait:
         """What its component across changes by."""
         return float(np.ptp(self.places[:, 0]))
 
-    def svg(self, around: tuple[np.ndarray, np.ndarray] | None = None) -> str:
-        """The picture, with a dot that moves."""
-        return moving_portrait(self.places, self.period, self.names, self.cuts, around)
+    def svg(
+        self, around: tuple[np.ndarray, np.ndarray] | None = None, marks: Sequence[tuple[str, np.ndarray]] = ()
+    ) -> str:
+        """The picture, with a dot that moves, and named places."""
+        return moving_portrait(self.places, self.period, self.names, self.cuts, around, marks)
 
 
 def _smooth(seen: Course) -> np.ndarray:

@@ -25,7 +25,7 @@ SIZE = 220
 BODY, TIP = COLOURS[0], COLOURS[1]
 WIDTH, HEIGHT = 380, 250
 """Pixels of a family's diagram"""
-LEFT, BELOW, AROUND = 58, 38, 12
+LEFT, BELOW, AROUND = 66, 38, 12
 """Pixels of the margins of what has axes"""
 LETTER = 6.2
 """Pixels of a digit of the numbers on axes"""
@@ -54,7 +54,7 @@ class Axes:
     low: np.ndarray
     high: np.ndarray
     names: tuple[str, str]
-    width: int = SIZE + LEFT - 28
+    width: int = SIZE + LEFT - BELOW
     height: int = SIZE
 
     def place(self, points: np.ndarray) -> np.ndarray:
@@ -224,11 +224,12 @@ def moving_portrait(
     names: tuple[str, str],
     cuts: Sequence[int] = (),
     around: tuple[np.ndarray, np.ndarray] | None = None,
+    marks: Sequence[tuple[str, np.ndarray]] = (),
 ) -> str:
     """One component against another over one period (k x 2, `names` across and up), with a dot that moves in time.
 
     Dashed across the `cuts`, the samples that come right after a jump (k: from the last to the first). `around`: the
-    range of the axes, where several portraits share it.
+    range of the axes, where several portraits share it. `marks` are named places (2).
     """
     axes = Axes(*(around or ranged(places)), names)
     drawn_at = axes.place(places)
@@ -241,6 +242,8 @@ def moving_portrait(
         f'<polyline points="{path(line)}" fill="none" stroke="{BODY}" stroke-width="1.5"{dashed}/>'
         for line, dashed in drawn
     )
+    for name, (x, y) in [(name, axes.place(place)) for name, place in marks]:
+        lines += f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.5" fill="currentColor"/>{_word(x + 5, y - 5, name, "start")}'
     moving = dot(drawn_at[frames_of(drawn_at, 1)], duration)
     return picture(f"{axes.frame}{lines}{moving}", f"{names[1]} against {names[0]}", axes.width, axes.height)
 
