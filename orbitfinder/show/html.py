@@ -29,11 +29,21 @@ from orbitfinder.orbits.sweep import Sweep
 from orbitfinder.records.certificate import Certificate
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.show.diagram import diagram_of
+from orbitfinder.show.diagram import diagram_of, entitled, mark_of
 from orbitfinder.show.facts import conserves, has_path, numbers, sides, verdict_of
 from orbitfinder.show.rest import names_of, rest_svg
 from orbitfinder.show.scene import Scene, cuts_of, equal_times, evenly, landmarks
-from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
+from orbitfinder.show.svg import (
+    axis,
+    curves,
+    diagram,
+    greek,
+    key,
+    moving_mechanism,
+    moving_portrait,
+    ranged,
+    unit_circle,
+)
 from orbitfinder.structures.torus import Tori
 
 SAMPLES = 121
@@ -216,7 +226,7 @@ def period_of(orbit: Orbit, model: Model | None = None) -> tuple[Model, Course] 
 def scene_of(model: Model, seen: Course) -> Scene:
     """What is drawn of a mechanism over a period."""
     moments = equal_times(seen.period, EVENLY)
-    points = seen.positions(moments) if seen.jumps else positions(model, seen.samples)
+    points = seen.positions(moments) if seen.jumps else positions(model, _smooth(seen))
     return Scene(points, strokes=model.strokes, ground=seen.grounds(moments[:1]), period=seen.period)
 
 
@@ -297,8 +307,10 @@ def family_html(family: Family) -> str:
     places = sorted({0, len(steady) // 2, len(steady) - 1}) if steady else []
     shown = _members([steady[place] for place in places], "" if family.unit else family.parameter)
     curve = diagram(diagram_of(family)) if family.points else ""
-    body = f'<div style="{ROW}">{curve}{table(rows)}</div><div style="{ROW}">{shown}</div>'
-    return f"<div>{heading(f'Family {family.name}')}{body}</div>"
+    kinds = key({event.kind.replace("_", " "): mark_of(event) for event in family.events})
+    body = f'<div style="{ROW}"><div>{curve}<br>{kinds}</div>{table(rows)}</div><div style="{ROW}">{shown}</div>'
+    title = entitled(family)
+    return f"<div>{heading(title, '' if title == family.name else f'family {family.name}')}{body}</div>"
 
 
 def _members(points: Sequence[FamilyPoint], parameter: str) -> str:
