@@ -19,9 +19,13 @@ from orbitfinder.records.family import Event, Family
 __all__ = ["LOOKS", "Diagram", "diagram_of", "frequencies", "mark_of"]
 
 
+CURVES_OF_RESTS = {"bogdanov_takens": Look("D"), "fold_hopf": Look("P"), "double_hopf": Look("s")}
+"""Points on curves of equilibria in two parameters that families have not, beside discs, generalised Hopf points"""
+
+
 def mark_of(event: Event | RestEvent) -> Look:
     """How an event is drawn; one of a kind that nobody knows as a star."""
-    look: Look = LOOKS.get(event.kind, Look("*", "star"))
+    look: Look = CURVES_OF_RESTS.get(event.kind) or LOOKS.get(event.kind, Look("*", "star"))
     return look
 
 

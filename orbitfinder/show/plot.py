@@ -55,7 +55,7 @@ from orbitfinder.show.style import (
 from orbitfinder.show.svg import COLOURS, axis, label
 
 MOST_PORTRAITS = 12
-MOST_IN_LEGEND, MOST_BELOW = 12, 4
+MOST_IN_LEGEND, MOST_BELOW, DECADES = 12, 4, 1e3
 
 
 def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None = None) -> list[Path]:
@@ -189,6 +189,8 @@ def _components(figure: Figure, course: Course, model: Model) -> Figure:
         middle, spread = np.nanmean(column), np.nanmax(np.abs(column - column[0]))
         if 0 < spread < 1e-9 * abs(middle):  # what stands still must not have its round-off magnified
             axes.set_ylim(*(middle + np.array([-0.5, 0.5]) * abs(middle)))
+        elif 0 < DECADES * np.nanmin(column) < np.nanmax(column):
+            axes.set_yscale("log")
     mark_events(panels, course)
     return figure
 
@@ -235,7 +237,8 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
         paths = positions(model, orbit.samples)
         joints = paths[:: max(1, (len(paths) - 1) // snapshots)]
     tall, wide = np.ptp(joints, axis=(0, 2))
-    shape = (9.0, float(np.clip(1.7 + 8.0 * tall / wide, 3.6, 6.4))) if course.walks else (6.4, 6.4)
+    high = float(np.clip(1.7 + 8.0 * tall / wide, 3.6, 6.4)) if course.walks else 6.4
+    shape = (float(np.clip(1.2 + (high - 1.7) * wide / tall, 6.4, 9.0)) if course.walks else 6.4, high)
     figure, end = new_figure(*shape, *heading(orbit, "swept configuration")), tip(paths)
     axes = figure.subplots()
     sweep(axes, joints, strokes=model.strokes)
@@ -493,12 +496,15 @@ def two_parameters(families: Sequence[Family | Equilibria], title: str | None = 
     figure = new_figure(8.0, 5.6, title or f"{entitled(*families)}: bifurcations in two parameters")
     axes, shown, labels = figure.subplots(), dict[str, Any](), list[tuple[str, float, float]]()
     for k, curve in enumerate(families):
-        places = curve.places if curve.parameters == names else curve.places[:, ::-1]
-        points, events = places[: len(curve.points)], places[len(curve.points) :]
-        test, kinds = curve.curve["test"], [getattr(point, "kind", "") for point in curve.points]
-        cuts = [j for j in range(1, len(kinds)) if kinds[j] != kinds[j - 1]]
-        for start, stop in pairwise([0, *cuts, len(kinds)]):
-            path = points[max(start - 1, 0) : stop]
+        places, count = curve.places if curve.parameters == names else curve.places[:, ::-1], len(curve.points)
+        events, test = places[count:], curve.curve["test"]
+        order = np.argsort([each.arclength for each in (*curve.points, *curve.events)], kind="stable")
+        known = [getattr(curve.points[j], "kind", "") if j < count else None for j in order]
+        kinds = [str(known[max(j - 1, 0)] or "") if kind is None else kind for j, kind in enumerate(known)]
+        sharp = [j + 1 for j, at in enumerate(order) if at >= count and curve.events[at - count].kind == "cusp"]
+        cuts = {j for j in range(1, len(kinds)) if kinds[j] != kinds[j - 1]} | {j for j in sharp if j < len(kinds)}
+        for start, stop in pairwise(sorted({0, len(kinds)} | cuts)):
+            ((_, path),) = rounded([(True, places[order][max(start - 1, 0) : stop])])
             beyond = kinds[start] == "neutral_saddle"
             style = {"linestyle": ":" if beyond else "-", "color": COLOURS[k % len(COLOURS)], "linewidth": 1.8}
             told = f"in {test['detail']}" if test["detail"] in names else test["detail"]

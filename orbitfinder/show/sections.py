@@ -16,7 +16,7 @@ from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import entitled
 from orbitfinder.show.style import dress, landmark, legend, new_figure, save_png
-from orbitfinder.show.svg import COLOURS, axis
+from orbitfinder.show.svg import COLOURS, axis, greek
 from orbitfinder.structures.manifold import Connection, Manifold, reach
 from orbitfinder.structures.section import Section
 from orbitfinder.structures.sections import check_plane, crossings, named_surface
@@ -27,6 +27,8 @@ GREYS = {"chaotic": "0.62", "undecided": "0.1"}
 """Colours of returns that belong to no regular motion"""
 MOTIONS = COLOURS[2:6]
 """Those of regular motions, none of them a manifold's"""
+PLANE = re.compile(r"^\w+")
+"""The component of a plane in words"""
 REFUSED = {"tube": "is a tube, not curves on a section; grow it without tube"}
 SIDES = {"unstable": "#D55E00", "stable": "#0072B2"}
 """Colours of manifolds"""
@@ -56,7 +58,8 @@ def draw_section(
         check_plane(record, first)
     model = model or build_model(first.system)
     level = f", energy {first.energy:.8g}" if np.isfinite(first.energy) else ""
-    figure = new_figure(7.2, 6.2, entitled(first), f"section {_plane(first)}{level}")
+    plane = PLANE.sub(lambda name: greek(name[0]), _plane(first))
+    figure = new_figure(7.2, 6.2, entitled(first), f"section {plane}{level}")
     axes = figure.subplots()
     across, up = (model.state_names.index(name) for name in first.axes)
     if section is not None:
