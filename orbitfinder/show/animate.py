@@ -66,10 +66,9 @@ class AnimationSettings:
     """s in which what does not repeat passes into its beginning"""
 
 
-MOST_FRAMES = 600
-"""of an animation that goes on until what comes back turned is where it was"""
-FLAT = 0.25
-"""How low over its width a picture is at least, and what moves where it is made so wide"""
+MOST_FRAMES, FLAT = 600, 0.25
+"""Of an animation that goes on until what comes back turned is where it was; how low over its width a picture is at
+least, and what moves where it is made so wide"""
 VIDEO = AnimationSettings(pixels=1080, rate=60, supersampling=2)
 """What suits an .mp4, which is small at any size"""
 

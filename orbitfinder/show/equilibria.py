@@ -63,15 +63,16 @@ class Panel:
         self.axes, self.shown = axes, shown
         self.labels, self.heights = list[tuple[str, float, float]](), list[np.ndarray]()
 
-    def line(self, stretches: Sequence[tuple[bool | None, np.ndarray]], colour: str, name: str) -> None:
+    def line(
+        self, stretches: Sequence[tuple[bool | None, np.ndarray]], colour: str, name: str, plain: bool = True
+    ) -> None:
         """A curve: places (k x 2) that are stable or not, or of which nothing decides."""
-        known = np.concatenate([path[:, 1] for _, path in stretches] or [np.zeros(1)])
-        for stable, path in stretches if far_apart(known) else rounded(stretches):
+        self.heights += [path[:, 1] for _, path in stretches]
+        for stable, path in rounded(stretches) if plain else stretches:
             word, line = STRETCHES[stable]
             style = {"linestyle": line, "linewidth": 1.8 if stable else 1.2}
             self.axes.plot(*path.T, color=colour, **style)
             self.shown.setdefault(word, Line2D([], [], color="0.3", **style))
-            self.heights.append(path[:, 1])
         self.shown.setdefault(name, Line2D([], [], color=colour, linewidth=2.4))
 
     def mark(self, kind: str, place: Sequence[float], resting: bool = False) -> None:
@@ -113,7 +114,7 @@ class Panel:
     def cycles(self, family: Family, heights: np.ndarray, name: str, periods: bool = False) -> None:
         """Cycles by a number of each point and then of each event, their periods maybe."""
         drawn = Diagram(family, (family.parameter, ""), np.column_stack([family.places[:, 0], heights]))
-        self.line(drawn.stretches, COLOURS[NAMES.index(name) + 2], name)
+        self.line(drawn.stretches, COLOURS[NAMES.index(name) + 2], name, not (periods and far_apart(heights)))
         for event, place in zip(family.events, drawn.events, strict=True):
             if kind_of(event.kind).critical and event.kind not in SILENT:
                 self.mark(event.kind, place)

@@ -55,7 +55,7 @@ from orbitfinder.show.style import (
 from orbitfinder.show.svg import COLOURS, axis, label
 
 MOST_PORTRAITS = 12
-MOST_IN_LEGEND, MOST_BELOW, DECADES = 12, 4, 1e3
+MOST_IN_LEGEND, MOST_BELOW, DECADES, RANGES = 12, 4, 1e3, "^(amplitude|min|max)_"
 
 
 def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None = None) -> list[Path]:
@@ -377,9 +377,6 @@ def save_chosen(
     return save_png(told_in(figure, families[0].system), path)
 
 
-RANGES = "^(amplitude|min|max)_"
-
-
 def _called(name: str) -> str:
     """A column of a family in words."""
     words = {"amplitude": "amplitude of", "min": "least", "max": "greatest"}
@@ -501,10 +498,12 @@ def two_parameters(families: Sequence[Family | Equilibria], title: str | None = 
         order = np.argsort([each.arclength for each in (*curve.points, *curve.events)], kind="stable")
         known = [getattr(curve.points[j], "kind", "") if j < count else None for j in order]
         kinds = [str(known[max(j - 1, 0)] or "") if kind is None else kind for j, kind in enumerate(known)]
-        sharp = [j + 1 for j, at in enumerate(order) if at >= count and curve.events[at - count].kind == "cusp"]
-        cuts = {j for j in range(1, len(kinds)) if kinds[j] != kinds[j - 1]} | {j for j in sharp if j < len(kinds)}
+        line = places[order]
+        ways = np.diff(line, axis=0) / nonzero(np.ptp(line, axis=0))
+        back = {k + 2 for k in np.flatnonzero((ways[1:] * ways[:-1]).sum(axis=1) < 0) if order[k + 1] >= count}  # cusps
+        cuts = {j for j in range(1, len(kinds)) if kinds[j] != kinds[j - 1]} | back
         for start, stop in pairwise(sorted({0, len(kinds)} | cuts)):
-            ((_, path),) = rounded([(True, places[order][max(start - 1, 0) : stop])])
+            ((_, path),) = rounded([(True, line[max(start - 1, 0) : stop])])
             beyond = kinds[start] == "neutral_saddle"
             style = {"linestyle": ":" if beyond else "-", "color": COLOURS[k % len(COLOURS)], "linewidth": 1.8}
             told = f"in {test['detail']}" if test["detail"] in names else test["detail"]

@@ -27,9 +27,8 @@ GREYS = {"chaotic": "0.62", "undecided": "0.1"}
 """Colours of returns that belong to no regular motion"""
 MOTIONS = COLOURS[2:6]
 """Those of regular motions, none of them a manifold's"""
-PLANE = re.compile(r"^\w+")
-"""The component of a plane in words"""
-REFUSED = {"tube": "is a tube, not curves on a section; grow it without tube"}
+REFUSED, PLANE = {"tube": "is a tube, not curves on a section; grow it without tube"}, re.compile(r"^\w+")
+"""Kinds of manifolds that are not drawn there, and why; the component of a plane in words"""
 SIDES = {"unstable": "#D55E00", "stable": "#0072B2"}
 """Colours of manifolds"""
 
