@@ -310,7 +310,8 @@ def family_html(family: Family) -> str:
     kinds = key({event.kind.replace("_", " "): mark_of(event) for event in family.events})
     body = f'<div style="{ROW}"><div>{curve}<br>{kinds}</div>{table(rows)}</div><div style="{ROW}">{shown}</div>'
     title = entitled(family)
-    return f"<div>{heading(title, '' if title == family.name else f'family {family.name}')}{body}</div>"
+    named = (title, f"family {family.name}") if title != family.name else (f"Family {family.name}",)
+    return f"<div>{heading(*named)}{body}</div>"
 
 
 def _members(points: Sequence[FamilyPoint], parameter: str) -> str:
