@@ -7,11 +7,13 @@ that nobody built; on the site their files are copied below `repository/`, where
 from __future__ import annotations
 
 import cmath
+import inspect
 import logging
 import math
 import posixpath
 import re
 from collections.abc import Iterator
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +117,9 @@ def orbit(file: str) -> str:
     from orbitfinder.records.registry import load_orbit
     from orbitfinder.show.html import orbit_html
 
-    return orbit_html(load_orbit(ROOT / file))
+    shown = orbit_html(load_orbit(ROOT / file))
+    seen = "; ".join(re.findall(r'aria-label="([^"]*)"', shown))
+    return f"{shown}<p><small>From the left: {seen}.</small></p>"
 
 
 def family(file: str) -> str:
@@ -184,14 +188,32 @@ MAKERS = {
 }
 
 
-def described(group: click.Group, path: tuple[str, ...] = ("orbitfinder",)) -> Iterator[str]:
-    """The help text of every command as a section."""
-    for name in sorted(group.commands):
-        command, full = group.commands[name], (*path, name)
-        if isinstance(command, click.Group):
-            yield from described(command, full)
-            continue
-        context = click.Context(
-            command, info_name=" ".join(full), max_content_width=96, terminal_width=96
-        )
-        yield f"## `{' '.join(full)}`\n\n```text\n{command.get_help(context)}\n```\n"
+def described(group: click.Group) -> Iterator[str]:
+    """Every command by what it is for: how it is called, what it does, examples, a table of its options."""
+    from orbitfinder.cli.group import PURPOSES
+
+    for heading, names in PURPOSES.items():
+        yield f"## {heading}\n"
+        for name in names:
+            command = group.commands[name]
+            many = command.commands if isinstance(command, click.Group) else {"": command}
+            for own, each in many.items():
+                yield from told(each, " ".join(filter(None, ("orbitfinder", name, own))))
+
+
+def told(command: click.Command, name: str) -> Iterator[str]:
+    """One command."""
+    context = click.Context(command, info_name=name)
+    said, _, examples = inspect.cleandoc(command.help or "").partition("\b\nExamples:\n")
+    yield f"### `{name}`\n\n```text\n{name} {' '.join(command.collect_usage_pieces(context))}\n```\n"
+    yield "".join(f"<p>{escape(part)}</p>" for part in said.strip().split("\n\n")) + "\n"
+    if examples:
+        yield f"```sh\n{inspect.cleandoc(examples)}\n```\n"
+    rows = filter(None, (option.get_help_record(context) for option in command.get_params(context)))
+    cells = (
+        f"<tr><td><code>{escape(option)}</code></td><td>{escape(does)}</td></tr>"
+        for option, does in rows
+        if does
+    )
+    head = "<thead><tr><th>option</th><th>what it does</th></tr></thead>"
+    yield f"<table>{head}<tbody>{''.join(cells)}</tbody></table>\n"

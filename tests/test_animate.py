@@ -30,6 +30,14 @@ def swinging(count: int = 20) -> Clip:
     return Clip(points, 25, "a title that is far too long for the little room above the picture", 10, loops=True)
 
 
+def test_what_is_flat_has_a_flat_picture_and_the_clock_its_own_unit() -> None:
+    flat = Clip(np.tile([[[0.0, 0.1], [-1.0, 1.0]]], (2, 1, 1)), 25, "carts", 1, loops=True)
+    (picture, _) = draw_frames(flat)
+    assert picture.size == (576, 144 + 26)
+    clip = orbit_clip(load_orbit(ROOT / "results/gallery/lorenz/orbit.json"), settings=AnimationSettings(periods=1))
+    assert clip.unit == ""
+
+
 @pytest.mark.parametrize("period", [0.798, 1.6553, 2.9252, 17.3])
 def test_loops_are_whole_periods_in_real_time(period: float) -> None:
     """The loop lasts a whole number of periods to within half a frame and at least two seconds."""

@@ -14,11 +14,12 @@ import pytest
 import orbitfinder as of
 from orbitfinder._runtime import notebook as display
 from orbitfinder.atlas.store import Atlas
+from orbitfinder.families.entries import KINDS, LOOKS
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.show import svg
-from orbitfinder.show.html import html
+from orbitfinder.show.html import html, motions
 from orbitfinder.show.scene import Scene
 
 ROOT = Path(__file__).parents[1]
@@ -117,8 +118,27 @@ def test_a_certificate_is_a_table(triple):
 def test_a_family_is_a_diagram_with_three_of_its_orbits(family):
     shown = family._repr_html_()
     tags = Tags(shown)
-    assert sum(tag == "svg" for tag, _ in tags.found) == 4 and shown.count("E = ") == 3
+    kinds = {event.kind for event in family.events}
+    assert sum(tag == "svg" for tag, _ in tags.found) == 4 + len(kinds) and shown.count("E = ") == 3
+    assert shown.count("<title>") == len(family.events) + len(kinds)
     assert "frequency (1/s)" in tags.text and len(shown) < 300_000
+
+
+def test_what_moves_in_space_is_seen_from_above_and_from_the_side():
+    """In equal scales, with what is marked near it; in a plane its path is beside its phase portrait."""
+    seen = [
+        motions(of.load_orbit(ROOT / f"results/gallery/three-body-{name}/orbit.json")) for name in ("halo", "lyapunov")
+    ]
+    labels = [[Tags(picture).found[0][1]["aria-label"] for picture in pictures] for pictures in seen]
+    assert labels == [["y against x", "z against x"], ["y against x", "py against y"]]
+    assert all(">L1<" in picture for picture in seen[0]) and ">L1<" not in seen[1][1]
+
+
+def test_kinds_of_events_have_shapes_of_their_own():
+    """Every disc is of a kind that figures draw as a disc too."""
+    shapes = [svg.glyph(LOOKS[kind], np.zeros(2), kind).split('"')[1] for kind in KINDS]
+    discs = [kind for kind, shape in zip(KINDS, shapes, strict=True) if shape.startswith("M-4 0a4")]
+    assert {"fold", "period_doubling", "stability_change"}.isdisjoint(discs) and "branch_point" in discs
 
 
 def test_orbits_too_unstable_to_be_integrated_are_not_drawn(triple, family):

@@ -75,6 +75,14 @@ def test_every_axis_has_a_label_with_a_unit(orbit):
         assert lower.get_xlabel() == "time (s)" and "(" in upper.get_ylabel() and "(" in lower.get_ylabel()
 
 
+def test_what_goes_over_decades_is_drawn_in_logarithms_and_nothing_else():
+    orbit = of.load_orbit(Path(__file__).parents[1] / "results/gallery/lorenz/orbit.json")
+    stretched = replace(orbit, samples=orbit.samples * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0])
+    stretched.samples[:, 2] = np.exp(orbit.samples[:, 0])
+    scales = [axes.get_yscale() for axes in plot.time_histories(stretched, build_model(orbit.system)).axes]
+    assert scales == ["linear", "linear", "log"]
+
+
 def test_time_histories_are_the_samples(orbit):
     upper, lower = plot.time_histories(orbit, build_model(orbit.system)).axes
     for k in range(2):

@@ -24,7 +24,8 @@ from orbitfinder.orbits.floquet import analyse
 from orbitfinder.orbits.guesses.modes import gyroscopic_modes, normal_mode, rest_near
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import load_family
-from orbitfinder.show.paths import has_path, path_views
+from orbitfinder.show.facts import has_path
+from orbitfinder.show.paths import path_views
 from orbitfinder.show.plot import save_figures
 from orbitfinder.systems import henon_heiles, restricted_three_body, three_bodies, van_der_pol
 

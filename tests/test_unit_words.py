@@ -13,6 +13,7 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.scales import SI, units, worded
 from orbitfinder.problemfile.write import orbit_text
 from orbitfinder.records.orbit import orbit_to_document
+from orbitfinder.show.diagram import entitled
 from orbitfinder.show.facts import facts
 from orbitfinder.show.plot import axis_name, time_histories
 from orbitfinder.show.style import told_in
@@ -147,8 +148,9 @@ def test_guesses_sweeps_equilibria_and_chosen_axes_have_the_words(clock, monkeyp
     family = folder / "families" / "clock" / "family.json"
     run("plot", family, "--up", "amplitude_V", "-o", folder)
     (axes,) = drawn[0].axes
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("mu (nS)", "amplitude_V (mV)")
-    assert drawn[0].get_suptitle() == "Van der Pol's clock: amplitude_V over mu"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("mu\N{NO-BREAK SPACE}(nS)", "amplitude of V (mV)")
+    assert drawn[0].get_suptitle() == "Van der Pol's clock: amplitude of V over mu"
+    assert entitled(of.load_equilibria(next(folder.rglob("equilibria.json")))) == "Van der Pol's clock"
     assert 2.0 < axes.lines[0].get_ydata().min() < 2.02
     for _ in range(2):
         run("export", family, "--to", "csv", "-o", folder / "tables")

@@ -66,7 +66,8 @@ def diagram(
             shown.say(f"{curve.file}: {what}; ended: {record.ends[-1].reason}{left(counted[0], counted[1])}")
 
         made = of.diagram(model, loaded.start, parameter, until, box=dict(map(side, box)) or None, name=folder.name,
-                          out=out, progress=report, folder=trusted(file, trust), **chosen)  # fmt: skip
+                          title=loaded.title, out=out, progress=report, folder=trusted(file, trust),
+                          **chosen)  # fmt: skip
     written = [folder / "diagram.json"]
     written += answer("plot", written[0])(made, folder, model) if figures else []
     text(f"{written[0]}: {made.counts}")

@@ -53,21 +53,24 @@ def equilibria(
     name = name or loaded.name
     with display(f"{name}: equilibria of {file}") as shown:
         if box:
-            results = list(_from_a_box(loaded.model, box, parameter, until, at, points, out, name, shown))
+            results = list(
+                _from_a_box((loaded.model, loaded.title), box, parameter, until, at, points, out, name, shown)
+            )
             document, whole = {"results": [told for told, _ in results]}, all(good for _, good in results)
         else:
-            origin = loaded.model, loaded.start
+            origin = loaded.model, loaded.start, loaded.title
             _, document, whole = followed_rest(origin, parameter, until, at, points, out, name, shown)
     finish("equilibria", document, whole)
 
 
 def _from_a_box(
-    model: of.Model, box: tuple[str, ...], parameter: str, until: float | None, at: tuple[float, ...], points: int,
-    out: Path, name: str, shown: Display,
+    system: tuple[of.Model, str], box: tuple[str, ...], parameter: str, until: float | None, at: tuple[float, ...],
+    points: int, out: Path, name: str, shown: Display,
 ) -> Iterator[tuple[dict[str, Any], bool]]:  # fmt: skip
     """Follow every curve through equilibria in a box, what is told of each and whether it is whole."""
     import numpy as np
 
+    model, title = system
     there = of.find_equilibria(model, dict(map(side, box)), parameter)
     if not there:
         raise ConvergenceError("no equilibrium was met in the box; give a larger one")
@@ -80,7 +83,7 @@ def _from_a_box(
             continue
         curves += 1
         label = name if curves == 1 else f"{name}-{curves}"
-        origin = model, rest.state
+        origin = model, rest.state, title
         curve, told, whole = followed_rest(origin, parameter, until, (*at, begun), points, out, label, shown)
         passed += [point.state for point in curve.points if point.value == begun]
         yield told, whole
@@ -99,14 +102,14 @@ def followed_rest(
     origin: Any, parameter: str | None, until: float | None, at: tuple[float, ...], points: int, out: Path,
     name: str | None, shown: Display, figures: bool = False,
 ) -> tuple[of.Equilibria, dict[str, Any], bool]:  # fmt: skip
-    """Follow equilibria from (model, state) or a branch of them, or a curve of them in two parameters, write and tell
-    them: what `--json` says of them, and whether all is certified and they arrived."""
+    """Follow equilibria from (model, state, title) or a branch of them, or a curve of them in two parameters, write and
+    tell them: what `--json` says of them, and whether all is certified and they arrived."""
     if isinstance(origin, partial):
         follow, name, parameter = origin, origin.keywords["name"], origin.args[2][0]
     else:
-        given = origin if isinstance(origin, tuple) else (origin, None)
+        *given, title = origin if isinstance(origin, tuple) else (origin, None, origin.title)
         parameter = parameter or origin.parameter
-        follow = partial(cast(Any, of.follow_equilibria), *given, parameter)
+        follow = partial(cast(Any, of.follow_equilibria), *given, parameter, title=title)
     folder = folder_of(out, name or origin.name)
     with kept(folder / "equilibria.json", of.save_equilibria):
         curve = follow(

@@ -123,8 +123,8 @@ def bifurcation(
         f"{loaded.name}: {', '.join(values)} by brute force", "motions"
     ) as report:  # fmt: skip
         made = of.bifurcation(
-            loaded.model, values, state=loaded.start, direction=DIRECTIONS[direction], progress=report, out=out,
-            name=loaded.name, folder=trusted(file, trust), shards=shards, **how,
+            loaded.problem or loaded.model, values, state=loaded.start, direction=DIRECTIONS[direction],
+            progress=report, out=out, name=loaded.name, folder=trusted(file, trust), shards=shards, **how,
         )  # fmt: skip
     written = [of.sections.save_bifurcation(made, folder / "bifurcation.json")]
     if figures:

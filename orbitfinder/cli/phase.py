@@ -56,5 +56,7 @@ def phase_plane(files: tuple[Path, ...], ranges: tuple[str, ...], out: Path, tru
     problems = [load_problem_file(file, trust) for file in files if file.suffix in (".toml", ".py")]
     drawn = named_orbits([file for file in files if file.suffix not in (".toml", ".py")], trust)
     name, model = (problems[0].name, problems[0].model) if problems else (drawn[0][1].name, drawn[0][2])
-    figure = of.phase_plane(model, limits(ranges), orbits=[orbit for _, orbit, _ in drawn], title=name)  # type: ignore[arg-type]
+    title = problems[0].title if problems else drawn[0][1].title
+    orbits, given = [orbit for _, orbit, _ in drawn], limits(ranges)
+    figure = of.phase_plane(model, given, orbits=orbits, title=title or name)  # type: ignore[arg-type]
     text(str(*save_all({"phase-plane": figure}, folder_of(out, name))))

@@ -111,7 +111,9 @@ def mapped(crossed: Section, model: of.Model, duration: float, written: list[Pat
     made, folder = of.frequency_map(model, crossed.starts, duration), written[0].parent
     table = folder / "frequencies.csv"
     write_atomically(table, frequency_table(made, model).encode())
-    picture = draw_frequencies(made, model, folder / "frequencies.png", axes=crossed.axes, name=crossed.name)
+    picture = draw_frequencies(
+        made, model, folder / "frequencies.png", axes=crossed.axes, name=crossed.title or crossed.name
+    )
     written += [table, picture]
     diffusion = made.diffusion
     text(f"{table}: frequencies of {plural(len(crossed.starts), 'motion')}, diffusion from "

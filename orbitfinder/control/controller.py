@@ -52,8 +52,8 @@ class Basin(Shown):
 class Controller(Shown):
     """u = u*(tau) - K(tau) (x - x*(tau)), tau the place (s) of the orbit nearest to x, or with `clock` the time.
 
-    `stabilised` is True where the certificate holds. Numbers over the period are at N + 1 equal times; a periodic
-    cubic spline is between.
+    `stabilised` is True where the certificate holds. Numbers over the period are at N + 1 equal times; a spline of
+    degree 5 is between, periodic unless an event ends the period.
 
     Args:
         name: a word for files.
@@ -79,6 +79,7 @@ class Controller(Shown):
         basin: what `of.basin` measured.
         provenance: how it was designed.
         event: the transition that ends a period of a hybrid system, after which tau begins anew at 0; "" without.
+        title: the orbit's.
 
     Examples:
         >>> bool(np.abs(controller.multipliers).max() < 1)
@@ -87,6 +88,7 @@ class Controller(Shown):
 
     __repr__ = brief("name", "actuators", "period", "multipliers", "certificate")
     _entries = (..., "stabilised")
+    _sparse = ("title",)
 
     name: str
     system: Mapping[str, Any]
@@ -110,6 +112,7 @@ class Controller(Shown):
     basin: Basin | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     event: str = ""
+    title: str = ""
 
     @property
     def stabilised(self) -> bool:

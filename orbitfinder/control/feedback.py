@@ -268,7 +268,7 @@ def _regulated(orbit: Orbit, reference: Reference, weight: np.ndarray, ease: np.
         weight_state=weight, weight_control=ease, control_units=units,
         open_loop=_sorted(np.linalg.eigvals(reference.reach().transition)),
         predicted=_sorted(np.linalg.eigvals(regulator.monodromy)), multipliers=np.zeros(0, complex), authority={},
-        provenance=_provenance(orbit), event="".join(reference.model.cycle),
+        provenance=_provenance(orbit), event="".join(reference.model.cycle), title=orbit.title,
     )  # fmt: skip
 
 

@@ -429,7 +429,7 @@ def _beside_rest(
     """What leaves equilibria at an event: cycles, or other equilibria; at the first or the last, a normal mode."""
     if isinstance(event, str):
         start, birth = mode_start(rest, event, mode, settings, model)
-        return Branch(start, rest.name, birth, event, mode, f"{rest.name}-{event}-{mode}")
+        return Branch(start, rest.name, birth, event, mode, f"{rest.name}-{event}-{mode}", rest.title)
     number = next((k for k, one in enumerate(rest.events) if one is event or k == event), event)
     known = {k: LEAVING[one.kind] for k, one in enumerate(rest.events) if one.kind in LEAVING}
     if not isinstance(number, int) or number not in known:
@@ -440,7 +440,7 @@ def _beside_rest(
 
 def _cycles(rest: Equilibria, number: int, settings: FamilySettings, model: Model | None) -> Branch:
     start, birth = cycle_start(rest, number, settings, model)
-    return Branch(start, rest.name, birth, number, 1, f"{rest.name}-{number}")
+    return Branch(start, rest.name, birth, number, 1, f"{rest.name}-{number}", rest.title)
 
 
 LEAVING: Mapping[str, Callable[[Equilibria, int, FamilySettings, Model | None], Branch | RestBranch]] = {

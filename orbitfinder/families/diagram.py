@@ -104,6 +104,7 @@ class BifurcationDiagram(Tabled):
         coordinate: what is drawn: a coordinate, or "norm".
         curves: each with its record, Equilibria or a Family.
         branchings: every event at which something leaves, and what became of it.
+        title: what pictures are headed with; the name where it is empty.
 
     Examples:
         >>> tree.counts
@@ -113,6 +114,7 @@ class BifurcationDiagram(Tabled):
     """
 
     __repr__ = brief("name", "parameter", "curves", "branchings")
+    _sparse = ("title",)
     _tables = "families.table:diagram_tables"
     name: str
     system: Mapping[str, Any]
@@ -122,6 +124,7 @@ class BifurcationDiagram(Tabled):
     coordinate: str
     curves: tuple[DiagramCurve, ...]
     branchings: tuple[Branching, ...] = ()
+    title: str = ""
 
     @property
     def undone(self) -> tuple[str, ...]:
@@ -279,7 +282,7 @@ def diagram(
     points: int = 400, coordinate: str | None = None, box: Mapping[str, Sequence[float]] | None = None,
     method: str | None = None, limit: float | None = None, name: str = "diagram", out: str | Path | None = None,
     progress: Callable[[DiagramCurve], None] | None = None, workers: int = 1, scheduler: str | None = None,
-    folder: str | Path | None = None,
+    folder: str | Path | None = None, title: str = "",
 ) -> BifurcationDiagram:  # fmt: skip
     """The whole bifurcation diagram between two values of a parameter: equilibria, and breadth first what is born at
     their branch points and Hopf points, at doublings and branch points of those cycles, and so on.
@@ -305,6 +308,7 @@ def diagram(
         workers: processes that follow cycles of one depth side by side; what is made is the same.
         scheduler: address of a Dask cluster that does it instead.
         folder: of a trusted module that makes the system.
+        title: what its picture is headed with.
 
     Returns:
         A BifurcationDiagram.
@@ -325,7 +329,9 @@ def diagram(
     if depth < 0:
         raise InputError(f"depth: must be at least 0, got {depth}")
     first = dict(zip(model.parameter_names, map(float, model.parameter_values), strict=True)).get(parameter, until)
-    empty = BifurcationDiagram(name, model.system, parameter, (first, until), depth, coordinate or names[0], ())
+    empty = BifurcationDiagram(
+        name, model.system, parameter, (first, until), depth, coordinate or names[0], (), title=title
+    )
     settings = FamilySettings(parameter=parameter, directions="away", points=points, longest_step=STEP, method=method)
     tree = _Tree(empty, model, settings, None if out is None else Path(out) / name, progress or (lambda curve: None))
     alone = contextlib.nullcontext() if tree.folder is None else locks.alone_in(tree.folder)

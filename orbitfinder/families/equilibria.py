@@ -49,7 +49,7 @@ LEAVING = (0.01, 0.002, 0.0004, 0.05)
 @dataclass(frozen=True)
 class RestBranch:
     """The other equilibria at a branch point: of which curve and event, the Model there, its state, the direction over
-    (x, p), what is followed in, a name, and how large components are on the curve."""
+    (x, p), what is followed in, a name, how large components are on the curve, and its title."""
 
     __repr__ = brief("name", "parameter")
 
@@ -61,6 +61,7 @@ class RestBranch:
     parameter: str
     name: str
     largest: np.ndarray
+    title: str = ""
 
 
 def rest_branch(equilibria: Equilibria, number: int, model: Model | None = None) -> RestBranch:
@@ -72,7 +73,7 @@ def rest_branch(equilibria: Equilibria, number: int, model: Model | None = None)
         np.where(np.abs(event.state) <= event.error * largest, 0.0, event.state),
         f"{equilibria.name}-{number}",
     )
-    return RestBranch(equilibria.name, number, there, state, event.direction, name, called, largest)
+    return RestBranch(equilibria.name, number, there, state, event.direction, name, called, largest, equilibria.title)
 
 
 @one_thread()
@@ -80,6 +81,7 @@ def follow_equilibria(
     model: Model | RestBranch, state: Sequence[float] | np.ndarray | None = None, parameter: str | None = None,
     until: float | None = None, *, at: Sequence[float] = (), points: int = PACE.points, pace: Pace = PACE,
     name: str | None = None, out: str | Path | None = None, progress: Callable[[Equilibrium], None] | None = None,
+    title: str = "",
 ) -> Equilibria:  # fmt: skip
     """The equilibria f(x, p) = 0 of an autonomous system along a parameter, with folds, branch points, Hopf points.
 
@@ -95,6 +97,7 @@ def follow_equilibria(
         out: a folder: OUT/<name>/equilibria.jsonl keeps every point as it comes, and what was asked before goes on
             from there.
         progress: called with each point.
+        title: what pictures are headed with.
 
     Returns:
         Equilibria.
@@ -132,17 +135,19 @@ def follow_equilibria(
         ways = [Way(judge, until, sign, problem, rest, branch.direction) for sign in (1.0, -1.0)]
     request = {"system": dict(model.system), "state": state, "parameter": parameter, "way": 0, "until":
                until is not None, "direction": None if branch is None else branch.direction}  # fmt: skip
-    return gone(ways, label, request, at, replace(pace, points=points), out, progress)
+    title = title or (branch.title if branch else "")
+    return gone(ways, (label, title), request, at, replace(pace, points=points), out, progress)
 
 
 def gone(
-    ways: Sequence[Way], label: str, request: Mapping[str, Any], at: Sequence[float], pace: Pace,
+    ways: Sequence[Way], called: tuple[str, str], request: Mapping[str, Any], at: Sequence[float], pace: Pace,
     out: str | Path | None, progress: Callable[[Equilibrium], None] | None, curve: Mapping[str, Any] | None = None,
 ) -> Equilibria:  # fmt: skip
-    """What lies along one way after another until one closes, each kept in a journal of OUT/`label`."""
+    """What lies along one way after another until one closes, each kept in a journal of OUT/<name>; it is `called`
+    by name and title."""
     goals, runs = Goals(ways[0].parameter, ways[0].until, tuple(map(float, at))), list[tuple[SolutionCurve, Way]]()
-    path = None if out is None else Path(out) / label
-    record = partial(_record, label, curve or {}, runs)
+    path = None if out is None else Path(out) / called[0]
+    record = partial(_record, called, curve or {}, runs)
     with contextlib.nullcontext() if path is None else locks.alone_in(path):
         for k, way in enumerate(ways):
             runs.append((run := SolutionCurve(), way))
@@ -349,7 +354,7 @@ def _other(problem: AtRest, z: np.ndarray, p: np.ndarray, tangent: np.ndarray) -
     return np.asarray(np.append(other[:d], other[z.size :]))
 
 
-def _record(name: str, curve: Mapping[str, Any], runs: list[tuple[SolutionCurve, Way]]) -> Equilibria:
+def _record(called: tuple[str, str], curve: Mapping[str, Any], runs: list[tuple[SolutionCurve, Way]]) -> Equilibria:
     points: list[Equilibrium] = []
     events: list[RestEvent] = []
     for run, way in reversed(runs):
@@ -364,7 +369,8 @@ def _record(name: str, curve: Mapping[str, Any], runs: list[tuple[SolutionCurve,
     events.sort(key=attrgetter("arclength"))
     ends, judge = tuple(run.end or End(STOPPED, "stopped") for run, _ in reversed(runs)), runs[0][1].judge
     system, parameter = dict(judge.model.system), judge.parameters[0]
-    return Equilibria(name, system, parameter, tuple(points), tuple(_apart(events)), ends, curve)
+    name, title = called
+    return Equilibria(name, system, parameter, tuple(points), tuple(_apart(events)), ends, curve, title)
 
 
 def _apart(events: list[RestEvent]) -> list[RestEvent]:

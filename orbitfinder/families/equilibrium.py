@@ -142,6 +142,7 @@ class Equilibria(Tabled):
         events: by arclength.
         ends: why it ends, before the first point and behind the last.
         curve: of a curve in two parameters: the test that vanishes along it, both parameters, the pace of its rates.
+        title: what pictures are headed with; the name where it is empty.
 
     Examples:
         >>> equilibria.parameter, [event.kind for event in equilibria.events], equilibria.ends[-1].kind
@@ -149,7 +150,7 @@ class Equilibria(Tabled):
     """
 
     __repr__ = brief("name", "parameter", "points", "events", "ends")
-    _sparse = ("curve",)
+    _sparse = ("curve", "title")
     _tables = "families.table:equilibria_tables"
     name: str
     system: Mapping[str, Any]
@@ -158,6 +159,7 @@ class Equilibria(Tabled):
     events: tuple[RestEvent, ...] = ()
     ends: tuple[End, ...] = ()
     curve: Mapping[str, Any] = field(default_factory=dict)
+    title: str = ""
 
     @property
     def parameters(self) -> tuple[str, ...]:

@@ -315,7 +315,7 @@ def follow_rest_curve(
     request = {"system": dict(model.system), "start": start.w.vector, "curve": curve, "way": 0, "until":
                until is not None}  # fmt: skip
     pace = replace(rest.PACE, points=points, located=KNOWN)
-    return rest.gone(ways, label, request, at, pace, out, progress, curve)
+    return rest.gone(ways, (label, equilibria.title), request, at, pace, out, progress, curve)
 
 
 def _chosen(equilibria: Equilibria, event: int | RestEvent) -> tuple[int, RestEvent]:

@@ -285,9 +285,10 @@ def hybrid(
         tuple(_mode(mode, whole) for mode in named), tuple(_transition(each, whole) for each in transitions), cycle,
         (named, tuple(transitions), tuple(conserved)), None if ground is None else _drawn(ground, first),
     )  # fmt: skip
+    words = {key: told for key, told in first.system.items() if key == "units"}
     model = altered(
         built.first.model, parameter_names=names, parameter_values=values, hybrid=built,
-        system=dict(system or {"kind": "custom"}),
+        system=words | dict(system or {"kind": "custom"}),
     )  # fmt: skip
     named_too = dict.fromkeys([*controls, *(name for mode in named for name in mode.model.controls)])
     given = {name: pair for mode in named for name, pair in mode.model.limits.items()}

@@ -71,6 +71,11 @@ class ProblemFile:
     seed: int = 0
 
     @property
+    def title(self) -> str:
+        """One line for people, where the file has it."""
+        return self.problem.title if self.problem else str(self.document.get("title", ""))
+
+    @property
     def wanted(self) -> Problem:
         """The Problem; `InputError` when the file has no guess."""
         if self.problem is None:

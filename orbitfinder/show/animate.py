@@ -24,10 +24,12 @@ from orbitfinder.families.members import whole
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.lagrange import ISOMETRIC
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import units
 from orbitfinder.mechanisms.shapes import Solid, undescribed
 from orbitfinder.orbits.course import course_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
+from orbitfinder.show.facts import with_unit
 from orbitfinder.show.scene import (
     BRUSHES,
     Scene,
@@ -68,8 +70,9 @@ class AnimationSettings:
     """s in which what does not repeat passes into its beginning"""
 
 
-MOST_FRAMES = 600
-"""of an animation that goes on until what comes back turned is where it was"""
+MOST_FRAMES, FLAT = 600, 0.25
+"""Of an animation that goes on until what comes back turned is where it was; how low over its width a picture is at
+least, and what moves where it is made so wide"""
 VIDEO = AnimationSettings(pixels=1080, rate=60, supersampling=2)
 """What suits an .mp4, which is small at any size"""
 
@@ -91,6 +94,8 @@ class Clip(Scene):
     space: np.ndarray | None = None
     """points in space (frames x 3 x k), where bodies have"""
     solids: Sequence[Solid] = ()
+    unit: str = "s"
+    """of its time, "" where the equations carry none"""
 
 
 def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
@@ -154,7 +159,8 @@ def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSett
     solids = [_finer(undescribed(entry)) for entries in solids_of(model.system).values() for entry in entries]
     return Clip(shown, settings.rate, orbit.title or orbit.name, trace, loops=bool(returns and not course.walks),
                 ground=ground, cuts=cuts_of(course, moments), strokes=model.strokes, slow=settings.slow,
-                space=positions_at(model, course, moments) if solids else None, solids=solids)  # fmt: skip
+                space=positions_at(model, course, moments) if solids else None, solids=solids,
+                unit=units(orbit.system)["time"])  # fmt: skip
 
 
 def _finer(solid: Solid) -> Solid:
@@ -296,11 +302,12 @@ class _View:
         pixels, span = settings.pixels, max(float(down), float(right))
         unit = pixels / AnimationSettings.pixels  # lines of the usual size are as thick as they say
         more = (settings.supersampling, pixels, round(26 * unit), unit)
-        if not wide:
+        if not wide and down > FLAT * right:
             return _View((low + high) / 2, 0.88 * pixels / span, pixels, *more)
         pixels = round(1.6 * pixels)
         scale = 0.9 * min(pixels / right, settings.pixels / down)
-        return _View((low + high) / 2, scale, pixels, more[0], round(scale * down + 0.12 * pixels), *more[2:])
+        height = round(max(scale * down + 0.12 * pixels, FLAT * pixels))
+        return _View((low + high) / 2, scale, pixels, more[0], height, *more[2:])
 
     def place(self, points: np.ndarray) -> list[tuple[float, float]]:
         """Pixels of (2 x k) positions, supersampled."""
@@ -339,7 +346,7 @@ def _headed(pen: Any, clip: Clip, frame: int, view: _View, colours: Mapping[str,
     fonts = [ImageFont.load_default(size * view.unit) for size in (12, 11, 10, 9, 8)]
     font = next((font for font in fonts if pen.textlength(title, font=font) <= room), fonts[-1])
     pen.text((edge, round(6 * view.unit)), _fitted(title, pen, font, room), fill=colours["ink"], font=font)
-    time = f"{frame / clip.rate / clip.slow:.2f} s"
+    time = with_unit(f"{frame / clip.rate / clip.slow:.2f}", clip.unit)
     pen.text((view.pixels - edge, round(6 * view.unit)), time, fill=colours["faint"], font=fonts[0], anchor="ra")
 
 

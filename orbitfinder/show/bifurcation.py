@@ -12,8 +12,9 @@ from matplotlib.lines import Line2D
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Family
+from orbitfinder.show.diagram import entitled
 from orbitfinder.show.equilibria import NAMES, Panel
-from orbitfinder.show.style import dress, legend, new_figure, place_labels, save_png
+from orbitfinder.show.style import dress, legend, new_figure, place_labels, save_png, with_word
 from orbitfinder.show.svg import axis
 from orbitfinder.structures.bifurcation import Bifurcation, family_samples
 
@@ -32,7 +33,7 @@ def draw_bifurcation(
     """Draw samples over the parameter as PNG, and through them the orbits of families of the same system: solid where
     stable, dashed where not, with their events. Raises `InputError` for a family of something else."""
     model = model or build_model(made.system)
-    figure = new_figure(8.4, 5.6, made.name, f"{made.plane}; {made.transient} returns dropped, {made.count} kept")
+    figure = new_figure(8.4, 5.6, entitled(made), f"{made.plane}; {made.transient} returns dropped, {made.count} kept")
     panel = Panel(figure.subplots(), dict[str, Any]())
     axes, values, heights = panel.axes, made.values[made.owners[:, 0]], made.heights
     size = float(np.clip(40_000 / max(heights.size, 1), 0.25, 6.0))
@@ -49,7 +50,7 @@ def draw_bifurcation(
     first, last = made.values[[0, -1]]
     axes.set(xlim=(first, last) if last > first else None, ylim=(low - margin, high + margin))
     number = model.state_names.index(made.coordinate)
-    dress(axes, made.parameter, axis(model, number))
+    dress(axes, with_word(made.parameter, made.system), axis(model, number))
     legend(figure, panel.shown, "lower center", ncols=4)
     labels = [label for label in panel.written(last - first or 1.0)
               if first <= label[1] <= last and low - margin <= label[2] <= high + margin]  # fmt: skip

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from orbitfinder.errors import OrbitfinderError
 from orbitfinder.families.entries import LOOKS, kind_of
-from orbitfinder.families.equilibrium import Equilibria, RestEvent
+from orbitfinder.families.equilibrium import RestEvent
 from orbitfinder.families.members import response
 from orbitfinder.families.registry import Look
 from orbitfinder.mechanics.kind import build_model
@@ -18,9 +19,13 @@ from orbitfinder.records.family import Event, Family
 __all__ = ["LOOKS", "Diagram", "diagram_of", "frequencies", "mark_of"]
 
 
+CURVES_OF_RESTS = {"bogdanov_takens": Look("D"), "fold_hopf": Look("P"), "double_hopf": Look("s")}
+"""Points on curves of equilibria in two parameters that families have not, beside discs, generalised Hopf points"""
+
+
 def mark_of(event: Event | RestEvent) -> Look:
     """How an event is drawn; one of a kind that nobody knows as a star."""
-    look: Look = LOOKS.get(event.kind, Look("*", "star"))
+    look: Look = CURVES_OF_RESTS.get(event.kind) or LOOKS.get(event.kind, Look("*", "star"))
     return look
 
 
@@ -77,9 +82,11 @@ def changes(family: Family) -> list[tuple[int, int | None]]:
     return [(k, next(iter(between(k)[-1:]), None)) for k in range(1, len(points)) if stable[k] != stable[k - 1]]
 
 
-def entitled(*records: Family | Equilibria) -> str:
-    """What a picture of families or equilibria is headed by: the title of what one was started from, else the names."""
-    titles = [getattr(record, "source", {}).get("title") for record in records]
+def entitled(*records: Any) -> str:
+    """What a picture of records is headed by: the title of what one was started from, else the names."""
+    titles = [
+        record.source.get("title") if isinstance(record, Family) else getattr(record, "title", "") for record in records
+    ]
     return str(titles[0]) if titles[0] and len(records) == 1 else ", ".join(record.name for record in records)
 
 

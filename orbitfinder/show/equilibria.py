@@ -17,10 +17,20 @@ from orbitfinder.families.members import extents
 from orbitfinder.families.registry import Look, kind_of
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import End, Family
-from orbitfinder.show.diagram import Diagram
+from orbitfinder.show.diagram import Diagram, entitled
 from orbitfinder.show.plot import two_parameters
 from orbitfinder.show.rest import stretched
-from orbitfinder.show.style import STRETCHES, dress, legend, new_figure, place_labels, save_all, told_in, with_word
+from orbitfinder.show.style import (
+    STRETCHES,
+    dress,
+    legend,
+    new_figure,
+    place_labels,
+    rounded,
+    save_all,
+    told_in,
+    with_word,
+)
 from orbitfinder.show.svg import COLOURS, axis
 
 RESTS, OTHER = {
@@ -41,6 +51,11 @@ ROBUST, ROOM, MARGIN, CLOSE = (2.0, 98.0), 0.3, 0.05, 0.01
 """Percentiles of what is drawn, shares: of their distance, seen beyond them; left empty; of labels that are close"""
 
 
+def far_apart(heights: np.ndarray) -> bool:
+    """Whether positive numbers are to be drawn in logarithms."""
+    return bool(heights.min() > 0 and heights.max() > LONG * heights.min())
+
+
 class Panel:
     """Axes on which curves are drawn by one number of each point; `shown` is the legend of all panels."""
 
@@ -48,14 +63,16 @@ class Panel:
         self.axes, self.shown = axes, shown
         self.labels, self.heights = list[tuple[str, float, float]](), list[np.ndarray]()
 
-    def line(self, stretches: Sequence[tuple[bool | None, np.ndarray]], colour: str, name: str) -> None:
+    def line(
+        self, stretches: Sequence[tuple[bool | None, np.ndarray]], colour: str, name: str, plain: bool = True
+    ) -> None:
         """A curve: places (k x 2) that are stable or not, or of which nothing decides."""
-        for stable, path in stretches:
+        self.heights += [path[:, 1] for _, path in stretches]
+        for stable, path in rounded(stretches) if plain else stretches:
             word, line = STRETCHES[stable]
             style = {"linestyle": line, "linewidth": 1.8 if stable else 1.2}
             self.axes.plot(*path.T, color=colour, **style)
             self.shown.setdefault(word, Line2D([], [], color="0.3", **style))
-            self.heights.append(path[:, 1])
         self.shown.setdefault(name, Line2D([], [], color=colour, linewidth=2.4))
 
     def mark(self, kind: str, place: Sequence[float], resting: bool = False) -> None:
@@ -97,7 +114,7 @@ class Panel:
     def cycles(self, family: Family, heights: np.ndarray, name: str, periods: bool = False) -> None:
         """Cycles by a number of each point and then of each event, their periods maybe."""
         drawn = Diagram(family, (family.parameter, ""), np.column_stack([family.places[:, 0], heights]))
-        self.line(drawn.stretches, COLOURS[NAMES.index(name) + 2], name)
+        self.line(drawn.stretches, COLOURS[NAMES.index(name) + 2], name, not (periods and far_apart(heights)))
         for event, place in zip(family.events, drawn.events, strict=True):
             if kind_of(event.kind).critical and event.kind not in SILENT:
                 self.mark(event.kind, place)
@@ -123,7 +140,7 @@ def save_diagram_figure(diagram: BifurcationDiagram, folder: str | Path, model: 
     number = (*model.state_names[: model.degrees_of_freedom], NORM).index(diagram.coordinate)
     norm = number == model.degrees_of_freedom
     counts = "\n".join(textwrap.wrap(diagram.counts, 80))
-    figure = new_figure(8.0, 6.8 if families else 4.8, diagram.name, counts)
+    figure = new_figure(8.0, 6.8 if families else 4.8, entitled(diagram), counts)
     axes = figure.subplots(
         2 if families else 1, 1, sharex=True, squeeze=False, height_ratios=(2.2, 1)[: 1 + bool(families)]
     )
@@ -143,7 +160,7 @@ def save_diagram_figure(diagram: BifurcationDiagram, folder: str | Path, model: 
     dress(upper.axes, "" if below else across, NORM if norm else axis(model, number))
     for panel in below:
         periods = np.concatenate(panel.heights)
-        panel.axes.set_yscale("log" if periods.max() > LONG * periods.min() else "linear")
+        panel.axes.set_yscale("log" if far_apart(periods) else "linear")
         dress(panel.axes, across, "period (s)")
     upper.window()
     legend(figure, shown, "lower center", ncols=4)
@@ -163,7 +180,7 @@ def save_equilibria_figure(equilibria: Equilibria, folder: str | Path, model: Mo
     rows = -(-count // columns)
     many = len(equilibria.points)
     words = f"{many} {'equilibrium' if many == 1 else 'equilibria'} along {equilibria.parameter}"
-    figure, shown = new_figure(3.6 * columns + 1.0, 3.2 * rows + 1.0, equilibria.name, words), dict[str, Any]()
+    figure, shown = new_figure(3.6 * columns + 1.0, 3.2 * rows + 1.0, entitled(equilibria), words), dict[str, Any]()
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for k, axes in enumerate(panels):
         if k >= count:

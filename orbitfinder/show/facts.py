@@ -4,13 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import combinations
 from typing import Any
+
+import numpy as np
 
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.errors import OrbitfinderError, plural
+from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.certificate import Certificate
 from orbitfinder.records.orbit import Orbit
+
+
+def has_path(model: Model) -> bool:
+    """Whether the coordinates are those of one thing in a plane or in space: it marks places, or draws no links."""
+    if model.rates is not None and not model.hamiltonian:
+        return False
+    places = not model.angular.any() and model.degrees_of_freedom in (2, 3)
+    return bool(model.landmarks) or (places and model.points is None)
+
+
+def sides(places: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[tuple[int, int]]]:
+    """Lowest and highest of coordinates (k x n), and each pair of them that is worth a view."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    moving = np.flatnonzero(high - low > 1e-6 * (high - low).max()).tolist()
+    return low, high, list(combinations(moving, 2)) or [(0, 1)]
 
 
 def number(value: Any, digits: int = 6) -> str:

@@ -30,11 +30,21 @@ from orbitfinder.orbits.sweep import Sweep
 from orbitfinder.records.certificate import Certificate
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.show.diagram import diagram_of
-from orbitfinder.show.facts import conserves, numbers, verdict_of
+from orbitfinder.show.diagram import diagram_of, entitled, mark_of
+from orbitfinder.show.facts import conserves, has_path, numbers, sides, verdict_of
 from orbitfinder.show.rest import names_of, rest_svg
-from orbitfinder.show.scene import Scene, cuts_of, equal_times, evenly
-from orbitfinder.show.svg import axis, curves, diagram, greek, moving_mechanism, moving_portrait, ranged, unit_circle
+from orbitfinder.show.scene import Scene, cuts_of, equal_times, evenly, landmarks
+from orbitfinder.show.svg import (
+    axis,
+    curves,
+    diagram,
+    greek,
+    key,
+    moving_mechanism,
+    moving_portrait,
+    ranged,
+    unit_circle,
+)
 from orbitfinder.structures.torus import Tori
 
 SAMPLES = 121
@@ -179,13 +189,30 @@ def circle(orbit: Orbit) -> str:
 
 
 def motions(orbit: Orbit, model: Model | None = None) -> list[str]:
-    """Mechanism (where one is declared) and phase portrait of a period; `model` of a system that no file describes,
-    nothing without it."""
+    """Mechanism (where one is declared) or path from two sides, and phase portrait of a period; `model` of a system
+    that no file describes, nothing without it."""
     known = period_of(orbit, model)
     if known is None:
         return []
     model, seen = known
-    return [*([] if model.points is None else [mechanism(scene_of(model, seen))]), Portrait(model, seen).svg()]
+    views = views_of(model, seen) if has_path(model) else []
+    if not views and model.points is not None:
+        views = [mechanism(scene_of(model, seen))]
+    return views if len(views) > 1 else [*views, Portrait(model, seen).svg()]
+
+
+def views_of(model: Model, seen: Course) -> list[str]:
+    """The path of what moves in a plane, or from above and from the side of what moves in space, in equal scales, and
+    what is marked near it."""
+    low, high, pairs = sides(_smooth(seen)[:, : len(model.planes)])
+    drawn, middle, room = [], (low + high) / 2, 0.56 * float((high - low).max())
+    for pair in pairs[:2]:
+        view, chosen = Portrait(model, seen, pair), list(pair)
+        around = middle[chosen] - room, middle[chosen] + room
+        marks = [(name, np.array(place)[chosen]) for name, place, _ in landmarks(model)
+                 if (np.abs(np.array(place)[: len(low)] - middle) < room).all()]  # fmt: skip
+        drawn.append(view.svg(around, marks))
+    return drawn
 
 
 def period_of(orbit: Orbit, model: Model | None = None) -> tuple[Model, Course] | None:
@@ -200,7 +227,7 @@ def period_of(orbit: Orbit, model: Model | None = None) -> tuple[Model, Course] 
 def scene_of(model: Model, seen: Course) -> Scene:
     """What is drawn of a mechanism over a period."""
     moments = equal_times(seen.period, EVENLY)
-    points = seen.positions(moments) if seen.jumps else positions(model, seen.samples)
+    points = seen.positions(moments) if seen.jumps else positions(model, _smooth(seen))
     return Scene(points, strokes=model.strokes, ground=seen.grounds(moments[:1]), period=seen.period)
 
 
@@ -228,9 +255,11 @@ class Portrait:
         """What its component across changes by."""
         return float(np.ptp(self.places[:, 0]))
 
-    def svg(self, around: tuple[np.ndarray, np.ndarray] | None = None) -> str:
-        """The picture, with a dot that moves."""
-        return moving_portrait(self.places, self.period, self.names, self.cuts, around)
+    def svg(
+        self, around: tuple[np.ndarray, np.ndarray] | None = None, marks: Sequence[tuple[str, np.ndarray]] = ()
+    ) -> str:
+        """The picture, with a dot that moves, and named places."""
+        return moving_portrait(self.places, self.period, self.names, self.cuts, around, marks)
 
 
 def _smooth(seen: Course) -> np.ndarray:
@@ -279,8 +308,11 @@ def family_html(family: Family) -> str:
     places = sorted({0, len(steady) // 2, len(steady) - 1}) if steady else []
     shown = _members([steady[place] for place in places], "" if family.unit else family.parameter)
     curve = diagram(diagram_of(family)) if family.points else ""
-    body = f'<div style="{ROW}">{curve}{table(rows)}</div><div style="{ROW}">{shown}</div>'
-    return f"<div>{heading(f'Family {family.name}')}{body}</div>"
+    kinds = key({event.kind.replace("_", " "): mark_of(event) for event in family.events})
+    body = f'<div style="{ROW}"><div>{curve}<br>{kinds}</div>{table(rows)}</div><div style="{ROW}">{shown}</div>'
+    title = entitled(family)
+    named = (title, f"family {family.name}") if title != family.name else (f"Family {family.name}",)
+    return f"<div>{heading(*named)}{body}</div>"
 
 
 def _members(points: Sequence[FamilyPoint], parameter: str) -> str:

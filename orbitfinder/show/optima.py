@@ -6,8 +6,11 @@ from collections import defaultdict
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
 from orbitfinder.control.optimum import Optima
-from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.diagram import entitled
+from orbitfinder.show.style import dress, new_figure, rounded, save_png, with_word
 from orbitfinder.show.svg import COLOURS
 
 MARKS = {"fold": ("D", "turning point"), "active": ("^", "constraint becomes active"),
@@ -30,12 +33,16 @@ def save_optima_figure(optima: Optima, folder: str | Path) -> Path:
         >>> of.save_optima_figure(optima, ".").name
         'optima.png'
     """
-    figure = new_figure(8.0, 5.2, optima.name, f"least cost along {optima.parameter}; {optima.end}")
+    figure = new_figure(
+        8.0, 5.2, entitled(*optima.points[:1]) or optima.name, f"least cost along {optima.parameter}; {optima.end}"
+    )
     axes, values, costs = figure.subplots(), optima.values, optima.costs
-    for (k, first), (m, second) in pairwise(enumerate(optima.descents)):
-        least = first == 0 or second == 0  # a turning point itself is the end of both
-        axes.plot(values[[k, m]], costs[[k, m]], "-" if least else "--", color=COLOURS[0], linewidth=1.4)
-    axes.plot(values, costs, ".", color=COLOURS[0], markersize=4)
+    least = [first == 0 or second == 0 for first, second in pairwise(optima.descents)]  # a turning point ends both
+    cuts = [0, *(k for k in range(1, len(least)) if least[k] != least[k - 1]), len(least)]
+    line = np.column_stack([values, costs])
+    for stable, path in rounded([(least[k], line[k : end + 1]) for k, end in pairwise(cuts) if least]):
+        axes.plot(*path.T, "-" if stable else "--", color=COLOURS[0], linewidth=1.6)
+    axes.plot(values, costs, ".", color=COLOURS[0], markersize=5)
     places = defaultdict[str, list[tuple[float, float]]](list)
     for change in optima.changes:
         places[change.kind].append((change.value, change.cost))
@@ -44,5 +51,5 @@ def save_optima_figure(optima: Optima, folder: str | Path) -> Path:
             axes.plot(*zip(*places[kind], strict=True), mark, color=COLOURS[1], label=words, markersize=8)
     if optima.changes:
         axes.legend(loc="best", frameon=False, fontsize=9)
-    dress(axes, optima.parameter, "cost")
+    dress(axes, with_word(optima.parameter, optima.points[0].system), "cost")
     return save_png(figure, Path(folder) / "optima.png")

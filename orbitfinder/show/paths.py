@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -17,17 +16,10 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import entitled
+from orbitfinder.show.facts import sides
 from orbitfinder.show.scene import landmarks
 from orbitfinder.show.style import dress, landmark, legend, new_figure
 from orbitfinder.show.svg import COLOURS
-
-
-def has_path(model: Model) -> bool:
-    """Whether the coordinates are those of one thing in a plane or in space: it marks places, or draws no links."""
-    if model.rates is not None and not model.hamiltonian:
-        return False
-    places = not model.angular.any() and model.degrees_of_freedom in (2, 3)
-    return bool(model.landmarks) or (places and model.points is None)
 
 
 def path_views(orbit: Orbit, model: Model) -> Figure:
@@ -62,11 +54,8 @@ def _views(
 ) -> tuple[Figure, list[tuple[Any, tuple[int, int]]]]:
     """A figure with axes for each pair of coordinates that is worth one, labelled and with landmarks."""
     n = len(model.planes)
-    places = np.vstack([states[:, :n] for states in motions])
-    low, high = places.min(axis=0), places.max(axis=0)
+    low, high, pairs = sides(np.vstack([states[:, :n] for states in motions]))
     extent = float((high - low).max())
-    moving = [i for i in range(n) if high[i] - low[i] > 1e-6 * extent]
-    pairs = [(i, j) for i, j in combinations(range(n), 2) if {i, j} <= set(moving)] or [(0, 1)]
     figure = new_figure(4.2 * len(pairs) + 0.8, 4.9, title, what)
     views = list(zip(np.atleast_1d(figure.subplots(1, len(pairs))), pairs, strict=True))
     room = 0.35 * extent  # about the path, within which landmarks are shown

@@ -15,8 +15,10 @@ from orbitfinder.families.rest_certificate import stability
 from orbitfinder.integrate.jets import Jets
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import equilibrium
+from orbitfinder.mechanics.scales import lasting
 from orbitfinder.orbits.closure import shift
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.show.diagram import entitled
 from orbitfinder.show.style import arrows, dress, legend, line_style, new_figure, save_all
 from orbitfinder.show.svg import COLOURS, axis
 from orbitfinder.structures.phase_response import PhaseResponse
@@ -32,7 +34,9 @@ def save_phase_figure(curve: PhaseResponse, folder: str | Path, model: Model) ->
     """Write `phase.png`: components of the cycle and below each what a kick in it does; returns its path."""
     count, phases = min(curve.states.shape[1], MOST), np.append(curve.times / curve.period, 1.0)
     states = np.vstack([curve.states, curve.states[:1] + shift(curve.winding, curve.states.shape[1])])
-    figure = new_figure(3.4 * count + 1.0, 5.6, curve.name, f"phase response, T = {curve.period:.6g}")
+    figure = new_figure(
+        3.4 * count + 1.0, 5.6, entitled(curve), f"phase response, T = {lasting(curve.period, curve.system, 6)}"
+    )
     for k, (above, below) in enumerate(figure.subplots(2, count, sharex=True, squeeze=False).T):
         above.plot(phases, states[:, k], color="0.3", linewidth=1.6)
         below.plot(phases, np.append(curve.response[:, k], curve.response[0, k]), color=COLOURS[0], linewidth=1.6)

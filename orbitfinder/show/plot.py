@@ -13,7 +13,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator, StrMethodFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, StrMethodFormatter
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.report import discovery
@@ -26,11 +26,11 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import given_units, unit_names, units
 from orbitfinder.orbits.course import Course, course_of
-from orbitfinder.records.family import Event, Family, number_of, value_of
+from orbitfinder.records.family import UNITS, Event, Family, number_of, value_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import Diagram, entitled, frequencies, mark_of
-from orbitfinder.show.facts import conserves, number
-from orbitfinder.show.paths import family_paths, has_path, path_views
+from orbitfinder.show.facts import conserves, has_path, number
+from orbitfinder.show.paths import family_paths, path_views
 from orbitfinder.show.scene import Scene, evenly, tip
 from orbitfinder.show.style import (
     LEAST_SIDE,
@@ -55,7 +55,7 @@ from orbitfinder.show.style import (
 from orbitfinder.show.svg import COLOURS, axis, label
 
 MOST_PORTRAITS = 12
-MOST_IN_LEGEND = 12
+MOST_IN_LEGEND, MOST_BELOW, DECADES, RANGES = 12, 4, 1e3, "^(amplitude|min|max)_"
 
 
 def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None = None) -> list[Path]:
@@ -160,7 +160,8 @@ def controls(orbit: Orbit) -> Figure:
     times, values = history(orbit.control, orbit.period)
     names, limits = orbit.control["names"], orbit.control["limits"]
     figure = new_figure(8.0, 1.6 + 2.0 * len(names), *heading(orbit, "controls"))
-    for axes, name, column in zip(_below(figure, times, values.T, names, orbit.period), names, values.T, strict=True):
+    called = [with_word(name, orbit.system) for name in names]
+    for axes, name, column in zip(_below(figure, times, values.T, called, orbit.period), names, values.T, strict=True):
         for bound in limits.get(name, ()):
             if np.isfinite(bound) and abs(bound) <= 3 * np.abs(column).max():
                 axes.axhline(bound, color="0.5", linewidth=0.7, linestyle="--")
@@ -188,6 +189,8 @@ def _components(figure: Figure, course: Course, model: Model) -> Figure:
         middle, spread = np.nanmean(column), np.nanmax(np.abs(column - column[0]))
         if 0 < spread < 1e-9 * abs(middle):  # what stands still must not have its round-off magnified
             axes.set_ylim(*(middle + np.array([-0.5, 0.5]) * abs(middle)))
+        elif 0 < DECADES * np.nanmin(column) < np.nanmax(column):
+            axes.set_yscale("log")
     mark_events(panels, course)
     return figure
 
@@ -226,16 +229,19 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
     What walks is shown for three periods, on its ground.
     """
     course, snapshots = course_of(orbit, model), 48
-    figure = new_figure(*((9.0, 5.0) if course.walks else (6.4, 6.4)), *heading(orbit, "swept configuration"))
-    axes, rounds = figure.subplots(), 3 if course.walks else 1
+    rounds = 3 if course.walks else 1
     if course.jumps:
         moments = np.linspace(0.0, rounds * course.period, rounds * snapshots // (2 if course.walks else 1) + 1)[:-1]
         joints, paths = course.positions(moments), _tips(course, rounds)
     else:
         paths = positions(model, orbit.samples)
         joints = paths[:: max(1, (len(paths) - 1) // snapshots)]
+    tall, wide = np.ptp(joints, axis=(0, 2))
+    high = float(np.clip(1.7 + 8.0 * tall / wide, 3.6, 6.4)) if course.walks else 6.4
+    shape = (float(np.clip(1.2 + (high - 1.7) * wide / tall, 6.4, 9.0)) if course.walks else 6.4, high)
+    figure, end = new_figure(*shape, *heading(orbit, "swept configuration")), tip(paths)
+    axes = figure.subplots()
     sweep(axes, joints, strokes=model.strokes)
-    end = tip(paths)
     trail(axes, paths[:, :, end], 1.4, label="path of the tip")
     still = not course.jumps or np.ptp(joints[:, :, 0], axis=0).max() == 0
     configuration(axes, Scene(joints, strokes=model.strokes), 2.0, still, named=True)
@@ -346,13 +352,15 @@ def save_chosen(
     if other := next((record for record in families if not isinstance(record, Family)), None):
         raise InputError(f"{other.name}: --across, --up and --xlim take families; leave them out")
     names = across or families[0].parameter, up or "frequency"
-    figure = new_figure(8.0, 5.6, f"{entitled(*families)}: {names[1]} over {names[0]}")
-    model = model or build_model(families[0].system)
+    model, words = model or build_model(families[0].system), [_called(name) for name in names]
+    figure = new_figure(8.0, 5.6, f"{entitled(*families)}: {words[1]} over {words[0]}")
     own = dict(zip(model.state_names, unit_names(model), strict=False))
     known = {"energy": "J", "period": "s", **own, **given_units(model.system)}
     known |= {} if "frequency" in families[0].parameters else {"frequency": "1/s"}
-    told = [known.get(re.sub("^(amplitude|min|max)_", "", name)) for name in names]
-    called = [f"{name} ({unit})" if unit else name for name, unit in zip(names, told, strict=True)]
+    told = [known.get(re.sub(RANGES, "", name)) for name in names]
+    called = [f"{word} ({unit})" if unit else word for word, unit in zip(words, told, strict=True)]
+    own_axes = {name: axis_name(families[0], k) for k, name in enumerate(families[0].parameters)}
+    called = [own_axes.get(name, word) for name, word in zip(names, called, strict=True)]
     axes = figure.subplots()
     places = [np.column_stack([_quantity(family, name, model) for name in names]) for family in families]
     _curves(
@@ -367,6 +375,12 @@ def save_chosen(
             room = 0.05 * float(np.ptp(inside)) or 0.05 * abs(float(inside[0])) or 1.0
             axes.set_ylim(inside.min() - room, inside.max() + room)
     return save_png(told_in(figure, families[0].system), path)
+
+
+def _called(name: str) -> str:
+    """A column of a family in words."""
+    words = {"amplitude": "amplitude of", "min": "least", "max": "greatest"}
+    return re.sub(RANGES, lambda kind: f"{words[kind[1]]} ", name)
 
 
 def _quantity(family: Family, name: str, model: Model) -> np.ndarray:
@@ -479,23 +493,31 @@ def two_parameters(families: Sequence[Family | Equilibria], title: str | None = 
     figure = new_figure(8.0, 5.6, title or f"{entitled(*families)}: bifurcations in two parameters")
     axes, shown, labels = figure.subplots(), dict[str, Any](), list[tuple[str, float, float]]()
     for k, curve in enumerate(families):
-        places = curve.places if curve.parameters == names else curve.places[:, ::-1]
-        points, events = places[: len(curve.points)], places[len(curve.points) :]
-        test, kinds = curve.curve["test"], [getattr(point, "kind", "") for point in curve.points]
-        cuts = [j for j in range(1, len(kinds)) if kinds[j] != kinds[j - 1]]
-        for start, stop in pairwise([0, *cuts, len(kinds)]):
-            path = points[max(start - 1, 0) : stop]
+        places, count = curve.places if curve.parameters == names else curve.places[:, ::-1], len(curve.points)
+        events, test = places[count:], curve.curve["test"]
+        order = np.argsort([each.arclength for each in (*curve.points, *curve.events)], kind="stable")
+        known = [getattr(curve.points[j], "kind", "") if j < count else None for j in order]
+        kinds = [str(known[max(j - 1, 0)] or "") if kind is None else kind for j, kind in enumerate(known)]
+        line = places[order]
+        ways = np.diff(line, axis=0) / nonzero(np.ptp(line, axis=0))
+        back = {k + 2 for k in np.flatnonzero((ways[1:] * ways[:-1]).sum(axis=1) < 0) if order[k + 1] >= count}  # cusps
+        cuts = {j for j in range(1, len(kinds)) if kinds[j] != kinds[j - 1]} | back
+        for start, stop in pairwise(sorted({0, len(kinds)} | cuts)):
+            ((_, path),) = rounded([(True, line[max(start - 1, 0) : stop])])
             beyond = kinds[start] == "neutral_saddle"
             style = {"linestyle": ":" if beyond else "-", "color": COLOURS[k % len(COLOURS)], "linewidth": 1.8}
-            called = kinds[start] if beyond else f"{test['kind']} {test['detail']}"
-            shown.setdefault(called.replace("_", " ").strip(), axes.plot(*path.T, **style)[0])
+            told = f"in {test['detail']}" if test["detail"] in names else test["detail"]
+            called = kinds[start] if beyond else f"{test['kind']} {told}"
+            called = called.replace("_", " ").replace("hopf", "Hopf").strip()
+            shown.setdefault(called, axes.plot(*path.T, **style)[0])
         special: Sequence[Event | RestEvent] = curve.events
         for event, place in zip(special, events, strict=True):
             style = {"marker": mark_of(event).marker, "markersize": 7.0, "linestyle": "none", "color": "black"}
-            shown.setdefault(event.words, axes.plot(*place, **style)[0])
-            if not any(words == event.words and np.allclose(place, at, rtol=1e-6) for words, *at in labels):
-                labels.append((event.words, *place))
-    dress(axes, *(with_word(name, families[0].system) for name in names))
+            said = event.words.replace("hopf", "Hopf")
+            shown.setdefault(said, axes.plot(*place, **style)[0])
+            if not any(words == said and np.allclose(place, at, rtol=1e-6) for words, *at in labels):
+                labels.append((said, *place))
+    dress(axes, *(axis_name(families[0], k) for k in (0, 1)))
     axes.margins(0.08)
     for k, frame in enumerate((axes.set_xlim, axes.set_ylim) if labels else ()):
         ends = [name[1:][k] for name in labels]
@@ -551,8 +573,11 @@ def _curves(figure: Figure, axes: Any, diagrams: Sequence[Diagram], plain: bool 
             style["zorder"] = 4.0 - look.size / 10  # what has the same place as another event stays in sight
             shown.setdefault(event.kind.replace("_", " "), axes.plot(*place, **style)[0])
     if many:
-        names = [Line2D([], [], color=COLOURS[k % len(COLOURS)], linewidth=2.4) for k in range(len(diagrams))]
-        legend(figure, dict(zip((each.family.name for each in diagrams), names, strict=True)), "right upper")
+        lines = [Line2D([], [], color=COLOURS[k % len(COLOURS)], linewidth=2.4) for k in range(len(diagrams))]
+        names = dict(zip((each.family.name for each in diagrams), lines, strict=True))
+        if beside := len(names) > MOST_BELOW:
+            legend(figure, names, "right upper")
+        shown = shown if beside else names | shown
     legend(figure, shown, "lower center", ncols=4)
 
 
@@ -586,6 +611,10 @@ def multipliers_along(family: Family) -> Figure:
     sizes = np.abs(np.concatenate([point.floquet_multipliers for point in family.points]))
     where = np.repeat(values, [point.floquet_multipliers.size for point in family.points])
     upper.semilogy(where, nonzero(sizes), ".", color=COLOURS[0], markersize=3)
+    if np.ptp(np.log10(nonzero(sizes))) < 2:
+        upper.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        upper.yaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+        upper.yaxis.set_minor_formatter(StrMethodFormatter("{x:g}"))
     if lower is None:
         upper.axhline(1.0, color="0.5", linewidth=0.7)
         dress(upper, axis_name(family), "|multiplier|")
@@ -619,14 +648,15 @@ def unpoled(values: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.insert(values, at, np.nan), np.insert(line, at, np.nan)
 
 
-def axis_name(family: Family) -> str:
-    """The parameter with its unit, where that is known: of a forcing's frequency it follows from the period."""
-    if family.parameter in given_units(family.system):
-        return with_word(family.parameter, family.system)
-    unit = family.unit or forced_unit(
-        family.values("value"), family.values("period"), family.curve.get("cycles", np.inf)
+def axis_name(family: Family | Equilibria, k: int = 0) -> str:
+    """Parameter k with its unit, where that is known: of a forcing's frequency it follows from the period."""
+    name, count = family.parameters[k], len(family.points)
+    if isinstance(family, Equilibria) or name in given_units(family.system):
+        return with_word(name, family.system)
+    unit = UNITS.get(name, "") or forced_unit(
+        family.places[:count, k], family.values("period"), family.curve.get("cycles", np.inf)
     )
-    return f"{family.parameter} ({unit})" if unit else family.parameter
+    return f"{name} ({unit})" if unit else name
 
 
 def forced_unit(values: np.ndarray, periods: np.ndarray, cycles: float) -> str:

@@ -13,6 +13,7 @@ from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, counted
+from orbitfinder.show.diagram import mark_of
 from orbitfinder.show.svg import HEIGHT, WIDTH, Axes, drawn_curve, greek, ranged
 
 
@@ -50,8 +51,9 @@ def rest_svg(equilibria: Equilibria, names: Sequence[str]) -> str:
     every, component = sorted(both, key=lambda rest: rest.arclength), most_moved(equilibria)
     values = [rest.value if isinstance(rest, Equilibrium) else rest.parameter for rest in every]
     places = np.column_stack([values, [rest.state[component] for rest in every]])
-    marks = [(f"{event.words} at {event.parameter:.6g}", np.array([event.parameter, event.state[component]]))
-             for event in equilibria.events]  # fmt: skip
+    where = [np.array([event.parameter, event.state[component]]) for event in equilibria.events]
+    marks = [(f"{event.words} at {event.parameter:.6g}", place, mark_of(event))
+             for event, place in zip(equilibria.events, where, strict=True)]  # fmt: skip
     axes = Axes(*ranged(places), (equilibria.parameter, greek(names[component])), WIDTH, HEIGHT)
     stretches = [(stable, places[part]) for part, stable in stretched(every)]
     return drawn_curve(axes, stretches, marks, f"{axes.names[1]} of the equilibria against {equilibria.parameter}")

@@ -14,8 +14,9 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.show.diagram import entitled
 from orbitfinder.show.style import dress, landmark, legend, new_figure, save_png
-from orbitfinder.show.svg import COLOURS, axis
+from orbitfinder.show.svg import COLOURS, axis, greek
 from orbitfinder.structures.manifold import Connection, Manifold, reach
 from orbitfinder.structures.section import Section
 from orbitfinder.structures.sections import check_plane, crossings, named_surface
@@ -26,7 +27,8 @@ GREYS = {"chaotic": "0.62", "undecided": "0.1"}
 """Colours of returns that belong to no regular motion"""
 MOTIONS = COLOURS[2:6]
 """Those of regular motions, none of them a manifold's"""
-REFUSED = {"tube": "is a tube, not curves on a section; grow it without tube"}
+REFUSED, PLANE = {"tube": "is a tube, not curves on a section; grow it without tube"}, re.compile(r"^\w+")
+"""Kinds of manifolds that are not drawn there, and why; the component of a plane in words"""
 SIDES = {"unstable": "#D55E00", "stable": "#0072B2"}
 """Colours of manifolds"""
 
@@ -55,7 +57,8 @@ def draw_section(
         check_plane(record, first)
     model = model or build_model(first.system)
     level = f", energy {first.energy:.8g}" if np.isfinite(first.energy) else ""
-    figure = new_figure(7.2, 6.2, first.name, f"section {_plane(first)}{level}")
+    plane = PLANE.sub(lambda name: greek(name[0]), _plane(first))
+    figure = new_figure(7.2, 6.2, entitled(first), f"section {plane}{level}")
     axes = figure.subplots()
     across, up = (model.state_names.index(name) for name in first.axes)
     if section is not None:
@@ -73,7 +76,7 @@ def draw_section(
         axes.plot(*crossings(model, first, orbit).T, "o", color="white", markeredgecolor="black", markersize=6.5,
                   label=f"{orbit.name}: {orbit.stability}", zorder=5)  # fmt: skip
     _limits(axes, model, first.axes, section, manifolds, connections)
-    dress(axes, _label(model, across), _label(model, up))
+    dress(axes, axis(model, across), axis(model, up))
     legend(figure, axes, "lower center", ncols=3)
     return save_png(figure, Path(path))
 
@@ -110,6 +113,7 @@ def _curves(axes: Any, manifold: Manifold, model: Model, pair: tuple[int, int]) 
     colour = SIDES[manifold.which]
     if why := REFUSED.get(manifold.kind):
         raise InputError(f"manifolds: {manifold.name} {why}")
+    axes.plot(*manifold.point[list(pair)], "o", color="white", markeredgecolor="black", markersize=6.5, zorder=4.9)
     for k, curve in enumerate(manifold.curves):
         points = wrapped(curve, model.angular)[:, list(pair)]
         jumps = np.abs(np.diff(points, axis=0)).max(axis=1) > np.pi
@@ -134,11 +138,6 @@ def _limits(
     room = 0.06 * (high - low) + 1e-12 * np.abs(high)
     axes.set_xlim(low[0] - room[0], high[0] + room[0])
     axes.set_ylim(low[1] - room[1], high[1] + room[1])
-
-
-def _label(model: Model, i: int) -> str:
-    """A component's name with its unit, which systems that mark places have none of."""
-    return model.state_names[i] if model.landmarks else axis(model, i)
 
 
 def draw_manifolds(
@@ -166,7 +165,7 @@ def draw_manifolds(
     chosen = [model.state_names.index(name) for name in names]
     first, solid = manifolds[0], len(chosen) == 3
     multiplier = f"multiplier {first.multiplier:.6g}, displaced by {first.displacement:.2g}"
-    figure = new_figure(7.6, 6.6, f"{first.name}: manifolds", multiplier)
+    figure = new_figure(7.6, 6.6, f"{entitled(first)}: manifolds", multiplier)
     panel: Any = figure.add_subplot(projection="3d") if solid else figure.subplots()
     for manifold in manifolds:
         lines = [wrapped(curve, model.angular)[:, chosen] for curve in manifold.curves if len(curve) > 1]
@@ -183,7 +182,7 @@ def draw_manifolds(
     for orbit in orbits:
         panel.plot(*orbit.samples[:, chosen].T, color="black", linewidth=1.8, linestyle="--", label=orbit.name)
     _landmarks(panel, model, chosen)
-    labels = [_label(model, i) for i in chosen]
+    labels = [axis(model, i) for i in chosen]
     if solid:
         panel.set(xlabel=labels[0], ylabel=labels[1], zlabel=labels[2])
     else:

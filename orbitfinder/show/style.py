@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.style import context
 from matplotlib.text import Text
 from scipy.interpolate import CubicSpline
@@ -208,7 +209,8 @@ def landmark(axes: Any, name: str, across: float, up: float) -> None:
     rests = name.startswith("L")
     axes.plot(across, up, "x" if rests else "o", color="0.35" if rests else "black", markersize=6, zorder=1.8)
     offset = {"xytext": (5, 6) if rests else (5, -13), "textcoords": "offset points"}
-    axes.annotate(name, (across, up), fontsize=8, color="0.25", parse_math=False, **offset)
+    clear = [withStroke(linewidth=2.5, foreground="white")]  # over curves
+    axes.annotate(name, (across, up), fontsize=8, color="0.25", parse_math=False, path_effects=clear, **offset)
 
 
 def plane(axes: Any) -> None:

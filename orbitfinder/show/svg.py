@@ -6,16 +6,17 @@ Motion is declared (SMIL `animate`), so that a picture moves in a notebook, in a
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.families.registry import Look
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import given_units, unit_names, units
-from orbitfinder.show.diagram import Diagram
+from orbitfinder.show.diagram import Diagram, mark_of
 from orbitfinder.show.scene import Scene, evenly, extent, outlines
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -25,7 +26,7 @@ SIZE = 220
 BODY, TIP = COLOURS[0], COLOURS[1]
 WIDTH, HEIGHT = 380, 250
 """Pixels of a family's diagram"""
-LEFT, BELOW, AROUND = 58, 38, 12
+LEFT, BELOW, AROUND = 66, 38, 12
 """Pixels of the margins of what has axes"""
 LETTER = 6.2
 """Pixels of a digit of the numbers on axes"""
@@ -54,7 +55,7 @@ class Axes:
     low: np.ndarray
     high: np.ndarray
     names: tuple[str, str]
-    width: int = SIZE + LEFT - 28
+    width: int = SIZE + LEFT - BELOW
     height: int = SIZE
 
     def place(self, points: np.ndarray) -> np.ndarray:
@@ -224,11 +225,12 @@ def moving_portrait(
     names: tuple[str, str],
     cuts: Sequence[int] = (),
     around: tuple[np.ndarray, np.ndarray] | None = None,
+    marks: Sequence[tuple[str, np.ndarray]] = (),
 ) -> str:
     """One component against another over one period (k x 2, `names` across and up), with a dot that moves in time.
 
     Dashed across the `cuts`, the samples that come right after a jump (k: from the last to the first). `around`: the
-    range of the axes, where several portraits share it.
+    range of the axes, where several portraits share it. `marks` are named places (2).
     """
     axes = Axes(*(around or ranged(places)), names)
     drawn_at = axes.place(places)
@@ -241,6 +243,8 @@ def moving_portrait(
         f'<polyline points="{path(line)}" fill="none" stroke="{BODY}" stroke-width="1.5"{dashed}/>'
         for line, dashed in drawn
     )
+    for name, (x, y) in [(name, axes.place(place)) for name, place in marks]:
+        lines += f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.5" fill="currentColor"/>{_word(x + 5, y - 5, name, "start")}'
     moving = dot(drawn_at[frames_of(drawn_at, 1)], duration)
     return picture(f"{axes.frame}{lines}{moving}", f"{names[1]} against {names[0]}", axes.width, axes.height)
 
@@ -282,23 +286,44 @@ def plane_of(drawn: Diagram) -> Axes:
 
 def diagram(drawn: Diagram) -> str:
     """The curve of a family: solid where stable, dashed where not, a dot that names itself at each event."""
-    marks = [(f"{event.kind.replace('_', ' ')} at {event.parameter:.6g} {event.detail}", place)
+    marks = [(f"{event.kind.replace('_', ' ')} at {event.parameter:.6g} {event.detail}", place, mark_of(event))
              for event, place in zip(drawn.family.events, drawn.events, strict=True)]  # fmt: skip
     said = " against ".join(drawn.names[::-1]) + (" of the family" if len(drawn.family.parameters) < 2 else "")
     return drawn_curve(plane_of(drawn), drawn.stretches, marks, said)
 
 
 def drawn_curve(
-    axes: Axes, stretches: Sequence[tuple[bool | None, np.ndarray]], marks: Sequence[tuple[str, np.ndarray]], said: str
-) -> str:
+    axes: Axes, stretches: Sequence[tuple[bool | None, np.ndarray]], marks: Sequence[tuple[str, np.ndarray, Look]],
+    said: str,
+) -> str:  # fmt: skip
     """A curve in stretches (k x 2) that are stable or not, and named marks on it."""
     lines = [axes.frame]
     for stable, run in stretches:
         dash = "" if stable else ' stroke-dasharray="5 4"'
         line = path(axes.place(run))
         lines.append(f'<polyline points="{line}" fill="none" stroke="{COLOURS[0]}" stroke-width="2"{dash}/>')
-    for name, point in marks:
-        x, y = axes.place(point)
-        title = f"<title>{escape(name)}</title>"
-        lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{COLOURS[1]}">{title}</circle>')
+    lines += [glyph(look, axes.place(point), name) for name, point, look in marks]
     return picture("".join(lines), said, WIDTH, HEIGHT)
+
+
+SHAPES = {
+    "s": "M-4-4H4V4H-4Z", "D": "M0-6L6 0L0 6L-6 0Z", "d": "M0-6L4 0L0 6L-4 0Z", "^": "M0-5L5 4H-5Z",
+    "v": "M0 5L5-4H-5Z", "<": "M-5 0L4-5V5Z", ">": "M5 0L-4-5V5Z", "P": "M-5 0H5M0-5V5", "x": "M-4-4L4 4M-4 4L4-4",
+    "X": "M-4-4L4 4M-4 4L4-4", ".": "M-2.5 0a2.5 2.5 0 1 0 5 0a2.5 2.5 0 1 0-5 0", "*": "M0-6V6M-5-3L5 3M-5 3L5-3",
+}  # fmt: skip
+"""Markers as paths; any other is a disc"""
+
+
+def glyph(look: Look, place: np.ndarray, name: str) -> str:
+    """A mark of an event as pages without script have it, with its name."""
+    shape = SHAPES.get(look.marker, "M-4 0a4 4 0 1 0 8 0a4 4 0 1 0-8 0")
+    colour = "currentColor" if look.colour == "#000000" else look.colour
+    open_ = look.hollow or not re.search("[Za]", shape)
+    where = f'transform="translate({place[0]:.1f} {place[1]:.1f})" stroke="{colour}" stroke-width="1.5"'
+    return f'<path d="{shape}" {where} fill="{"none" if open_ else colour}"><title>{escape(name)}</title></path>'
+
+
+def key(looks: Mapping[str, Look]) -> str:
+    """What marks are called, beside each."""
+    drawn = {name: picture(glyph(look, np.full(2, 7.0), name), name, 14, 14) for name, look in looks.items()}
+    return " &ensp; ".join(f"{mark} {escape(name)}" for name, mark in drawn.items())

@@ -20,6 +20,7 @@ from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import level
+from orbitfinder.show.diagram import entitled
 from orbitfinder.show.facts import number, with_unit
 from orbitfinder.show.rest import rest_svg
 from orbitfinder.show.scene import evenly
@@ -290,12 +291,18 @@ def _relatives(family: Family, named: Named) -> dict[str, Any]:
     return {"parents": parents, "children": children, "origin": origin.strip()}
 
 
+def _headed(what: str, record: Any) -> str:
+    """What a page is headed by: the title of what its record was started from, and what it is."""
+    named, title = f"{what} {record.name}", entitled(record)
+    return f"{what.capitalize()} {record.name}" if title == record.name else f"{title}: {named}"
+
+
 def _add_family(
     site: Site, family: Family, slug: str, simulator: Simulator, motions: dict[str, Any],
     known: tuple[Named, Sequence[SiteOrbit], Sequence[tuple[AtlasFile, str]]],
 ) -> Card:  # fmt: skip
     data, path, words = family_data(family, simulator), f"families/{slug}.html", mechanism(family.system)
-    values = family_values(family, data["items"]) | {"title": f"Family {family.name}", "moved": data["moved"]}
+    values = family_values(family, data["items"]) | {"title": _headed("family", family), "moved": data["moved"]}
     curve = tuple((item["key"], item["energy"], item["period"], item["action"]) for item in data["items"]
                   if item["action"] is not None)  # fmt: skip
     own = [entry for entry in known[1] if same(entry.document["system"]) == same(family.system)]
@@ -325,7 +332,7 @@ def _add_equilibria(
            if (family.source.get("family"), family.source.get("kind_of_event")) == (rest.name, "hopf")]  # fmt: skip
     born = [(page, family.name, family.source.get("event")) for family, page in own]
     data["cycles"] = [cycles_data(family, page, simulator) for family, page in own]
-    values = data | {"title": f"Equilibria {rest.name}", "rest": rest, "born": born, "words": words}
+    values = data | {"title": _headed("equilibria", rest), "rest": rest, "born": born, "words": words}
     values["unit"] = units(rest.system)["time"]
     site.add("equilibria", path, values, ("equilibria", data), f"Equilibria of {article(words)}.")
     note = ", ".join(event.words.replace("hopf", "Hopf") for event in rest.events) or plural(len(rest.points), "point")
@@ -336,7 +343,7 @@ def _add_equilibria(
 def _add_section(site: Site, section: Section, slug: str, gathered: Gathered, motions: dict[str, Any]) -> Card:
     """The page of a Poincare section; returns its link."""
     data, path, words = section_data(section, gathered), f"sections/{slug}.html", mechanism(section.system)
-    values = section_values(section, data) | {"title": f"Section {section.name}"}
+    values = section_values(section, data) | {"title": _headed("section", section)}
     site.add("section", path, values, ("section", data), f"A Poincare section of the {words}: {section.plane}.")
     return Card("Section", path, section.name, words, section.plane, _cover(f"section/{slug}", data, motions))
 

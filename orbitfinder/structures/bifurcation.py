@@ -75,6 +75,7 @@ class Bifurcation(Tabled):
         times: since the start of their motion (n, s).
         owners: n x 2, the number of the value and of the motion there: of r, or of 2 r, the first r upwards.
         repeats: k x r (or 2 r), after how many returns a motion repeats; 0 where it does not: chaos, or not settled.
+        title: what pictures are headed with; the name where it is empty.
 
     Examples:
         >>> made.counts
@@ -85,6 +86,7 @@ class Bifurcation(Tabled):
 
     __repr__ = brief("name", "parameter", "plane", "counts")
     _entries = ("name", "counts", ...)
+    _sparse = ("title",)
 
     name: str
     system: Mapping[str, Any]
@@ -101,6 +103,7 @@ class Bifurcation(Tabled):
     times: Dense
     owners: Dense
     repeats: Dense
+    title: str = ""
 
     @property
     def counts(self) -> str:
@@ -299,6 +302,7 @@ def bifurcation(
         name, dict(model.system), parameter, model.state_names[sampler.coordinate], sampler.words, model.state_names,
         sweep, transient, samples, axis, begun, np.zeros((0, begun.shape[1])),
         np.zeros(0), np.zeros((0, 2), int), np.zeros((axis.size, len(begun) * (1 + (sweep == "both"))), int),
+        problem.title if problem else "",
     )  # fmt: skip
     alike = "system parameter plane sweep transient count starts" + " values" * (sweep != "none")
     asked = plain({"bifurcation": {field: getattr(made, field) for field in alike.split()}})

@@ -42,10 +42,11 @@ class Manifold(Shown):
     the orbit; `images` (k) how many returns it took, `times` (k, s) how long. `point` (d) is the orbit's own on the
     section, `direction` (d) the eigendirection there, `displacement` the largest of the places and `error` how far
     off the manifold that was measured to be, in extents of the orbit, at it and at half of it (which shows its
-    order).
+    order). `title` is the orbit's.
     """
 
     __repr__ = brief("name", "which", "kind", "multiplier", "displacement", "error")
+    _sparse = ("title",)
 
     name: str
     system: Mapping[str, Any]
@@ -66,6 +67,7 @@ class Manifold(Shown):
     places: Dense
     images: Dense
     times: Dense
+    title: str = ""
 
     @property
     def curves(self) -> tuple[np.ndarray, ...]:

@@ -312,7 +312,7 @@ def recorded(base: Local, kind: str, measured: tuple[float, float, float], parts
         np.concatenate([np.full(len(part[0]), k) for k, part in enumerate(parts)]),
         np.concatenate([part[1] for part in parts]),
         np.concatenate([np.full(len(part[0]), part[2]) for part in parts]),
-        np.concatenate([part[3] for part in parts]),
+        np.concatenate([part[3] for part in parts]), base.orbit.title,
     )  # fmt: skip
 
 

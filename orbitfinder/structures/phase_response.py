@@ -69,6 +69,7 @@ class PhaseResponse(Shown):
         multipliers: Floquet's, without the 1.
         stability: asymptotically stable | unstable.
         certificate: its checks, finite kicks among them.
+        title: the cycle's.
 
     Examples:
         >>> curve.response.shape == curve.states.shape, curve.certificate.passed
@@ -76,6 +77,7 @@ class PhaseResponse(Shown):
     """
 
     __repr__ = brief("name", "period", "stability", "normalisation", "certificate")
+    _sparse = ("title",)
     name: str
     system: Mapping[str, Any]
     period: float
@@ -87,6 +89,7 @@ class PhaseResponse(Shown):
     multipliers: Complexes
     stability: str
     certificate: Certified = None
+    title: str = ""
 
     def save(self, path: str | Path) -> Path:
         """Write a phase.json, which `orbitfinder.records.registry.load` reads."""
@@ -141,7 +144,7 @@ def phase_response(orbit: Orbit, model: Model | None = None, *, name: str | None
     off = float(np.abs((response * rates).sum(axis=1) - 1).max())
     whose, times = (name or orbit.name, dict(orbit.system), orbit.period, orbit.winding), orbit.period * mesh[:-1:2]
     curve = PhaseResponse(*whose, times, starts, response, off, floquet.multipliers, floquet.stability)
-    return replace(curve, certificate=certify_phase_response(curve, model))
+    return replace(curve, certificate=certify_phase_response(curve, model), title=orbit.title)
 
 
 def _mesh(model: Model, orbit: Orbit) -> np.ndarray:

@@ -42,10 +42,12 @@ class Section(Shown):
 
     `plane` in words, `axes` the components that are drawn, `energy` nan where none is held; `starts` (m x d) are where
     the motions began, `growth` (k) is the logarithm of what a deviation on the plane has grown by until then, infinite
-    where that is not known. Files before 0.3 have one number a motion there, of which nothing is made.
+    where that is not known. Files before 0.3 have one number a motion there, of which nothing is made. `title` is what
+    pictures are headed with.
     """
 
     __repr__ = brief("name", "plane", "energy", "returns")
+    _sparse = ("title",)
 
     name: str
     system: Mapping[str, Any]
@@ -58,6 +60,7 @@ class Section(Shown):
     seeds: Dense
     starts: Dense
     growth: Growth
+    title: str = ""
 
     @property
     def returns(self) -> int:

@@ -329,7 +329,7 @@ def section(
     for what, count, most in (("seeds", seeds, 100_000), ("returns", returns, 1_000_000)):
         if not 1 <= count <= most:
             raise InputError(f"{what}: must be between 1 and {most}, got {count}")
-    model, state, own = _of(system, model)
+    (model, state, own), title = _of(system, model), getattr(system, "title", "")
     levels = {} if not model.smooth else level_of(model, energy, state)
     cut = surface(model, plane, axes, direction, levels=levels)
     starts = _starts(cut, seeds, dict(ranges or {}), state)
@@ -345,7 +345,7 @@ def section(
         which = np.broadcast_to(np.arange(len(starts))[:, None], times.shape)[known]
         return Section(
             name or own, dict(model.system), names, cut.name, cut.axis_names, chosen,
-            wrapped(states[known], model.angular), times[known], which, starts, growth[known],
+            wrapped(states[known], model.angular), times[known], which, starts, growth[known], title,
         )  # fmt: skip
 
     def seen(so_far: Callable[[], Passing], done: int) -> None:

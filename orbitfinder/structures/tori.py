@@ -196,7 +196,8 @@ def follow_tori(
     curve = SolutionCurve()
 
     def tori(end: str) -> Tori:
-        return Tori(label, dict(system.system), asked, held, tuple(kept.record for kept in curve.points), end)
+        return Tori(label, dict(system.system), asked, held, tuple(kept.record for kept in curve.points), end,
+                    getattr(origin, "title", ""))  # fmt: skip
 
     with contextlib.nullcontext() if path is None else locks.alone_in(path.parent):
         for kept in follow(curve, CurveJournal(keeping, path, request, leads_there), begin, inner, pace):

@@ -73,6 +73,7 @@ class Tori(Tabled):
         held: what is the same for all, by name.
         tori: in order.
         end: why it ends.
+        title: what pictures are headed with; the name where it is empty.
 
     Examples:
         >>> tori.parameter, list(tori.held)
@@ -81,6 +82,7 @@ class Tori(Tabled):
 
     __repr__ = brief("name", "parameter", "held", "tori", "end")
     _entries = (..., "end", "tori")
+    _sparse = ("title",)
 
     name: str
     system: Mapping[str, Any]
@@ -88,6 +90,7 @@ class Tori(Tabled):
     held: Mapping[str, float]
     tori: tuple[Torus, ...]
     end: str = ""
+    title: str = ""
 
     def own_tables(self) -> Tables:
         """Its table, and why it ends."""
