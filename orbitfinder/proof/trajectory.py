@@ -114,10 +114,14 @@ def escape(path: Trajectory, angles: Sequence[bool]) -> tuple[Fraction, int] | N
 
     Until then the orbit has not been back at its first state.
     """
-    form = path.formulation
-    rates, turning = path.field.rates(path.first)[: form.dimension], dict(enumerate(angles))
-    component = max(range(len(rates)), key=lambda i: float(abs(rates[i]).lower().mid()))
-    reached = Fraction(0)
+    rates = path.field.rates(path.first)[: path.formulation.dimension]
+    quickest = sorted(range(len(rates)), key=lambda i: -float(abs(rates[i]).lower().mid()))
+    return next(filter(None, (_moving(path, angles, component) for component in quickest)), None)
+
+
+def _moving(path: Trajectory, angles: Sequence[bool], component: int) -> tuple[Fraction, int] | None:
+    """See `escape`, of a component."""
+    form, turning, reached = path.formulation, dict(enumerate(angles)), Fraction(0)
     for k, steps in enumerate(path.steps):
         for step in steps:
             for piece in range(PIECES):
