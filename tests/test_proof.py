@@ -379,9 +379,9 @@ def test_bad_options(saved, arguments, says):
 
 
 def test_unprovable_systems_are_bad_input(found, tmp_path):
-    """A linkage: exit code 2 and the reason."""
-    result = run("prove", ROOT / "results/gallery/four-bar-rocking/orbit.json", "--no-record")
-    assert result.exit_code == 2 and "systems under constraints" in result.output
+    """A symmetry that no linkage is proved with: exit code 2 and the reason."""
+    result = run("prove", ROOT / "results/gallery/four-bar-rocking/orbit.json", "--no-record", "--symmetry", "reversal")
+    assert result.exit_code == 2 and "it is brake or none in proofs" in result.output
     missing = run("prove", tmp_path / "nothing.json")
     assert missing.exit_code == 2 and "no such file" in missing.output
 

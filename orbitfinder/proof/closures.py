@@ -7,31 +7,45 @@ independent coordinates and rates come back. Source: R. A. Wehage, E. J. Haug, J
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
+from typing import Any
 
+import numpy as np
 from scipy.linalg import qr
 
 from orbitfinder.errors import InputError
 from orbitfinder.loops.symmetry import BRAKE, NONE
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import arb, arb_mat, floats
 from orbitfinder.proof.enclosure import TaylorSettings
-from orbitfinder.proof.field import Programs, make_field
+from orbitfinder.proof.field import Field, Programs, make_field
 from orbitfinder.proof.formulation import Approach
 from orbitfinder.proof.krawczyk import TheoremEquations, flow
 from orbitfinder.proof.trajectory import Trajectory
+from orbitfinder.records.orbit import Orbit
 
 AJAR = "constraints: where the orbit closes, the coordinates that are not compared could be elsewhere (a dead point)"
 
 
-def closable(recorded: str, asked: str | None) -> str:
-    """The name of the symmetry to be used, brake or none. Raises `InputError`."""
+def closable(orbit: Orbit, model: Model, codes: Programs, asked: str | None) -> str:
+    """The name of the symmetry to be used, brake or none. `InputError` for others, and where constraints repeat."""
     if asked not in (None, NONE.name, BRAKE.name):
         raise InputError(
             f"symmetry: under constraints it is {BRAKE.name} or {NONE.name} in proofs, got {asked!r}; leave it out"
         )
-    return asked or (BRAKE.name if BRAKE.name in recorded.split("+") else NONE.name)
+    if orbit.state.size == len(model.state_names):
+        slopes = _slopes(make_field(model, codes), [*map(arb, orbit.state.tolist()), arb(0), arb(1)])
+        sizes = np.linalg.svd(slopes, compute_uv=False)
+        if not sizes[-1] > RANK_TOLERANCE * sizes[0]:
+            raise InputError(
+                f"constraints: {int(np.sum(sizes > RANK_TOLERANCE * sizes[0]))} of {len(sizes)} are independent at the "
+                "recorded state, so that accelerations do not follow; leave out those that repeat others (redundant = "
+                "'drop' of a mechanism), or, at a change point, prove an orbit that does not pass it"
+            )
+    return asked or (BRAKE.name if BRAKE.name in orbit.symmetry.split("+") else NONE.name)
 
 
 def closing(model: Model, codes: Programs, start: Approach) -> Approach:
@@ -42,10 +56,15 @@ def closing(model: Model, codes: Programs, start: Approach) -> Approach:
     place = [*map(arb, start.nodes[-1].tolist()), arb(0), arb(start.duration)]
     rough = TaylorSettings(bits=64, tolerance=1e-14, order=14)
     end = flow(TheoremEquations(field, form, None), place, rough, vary=False)[0]
-    slopes = floats(field.closure([*end, *place[-2:]])[1])
-    slopes = slopes[: len(slopes) // 2, : form.size]
+    slopes = _slopes(field, [*end, *place[-2:]])
     chosen = sorted(int(k) for k in qr(slopes, mode="r", pivoting=True)[1][: len(slopes)])
     return replace(start, formulation=replace(form, dependent=tuple(chosen)))
+
+
+def _slopes(field: Field, z: Sequence[Any]) -> np.ndarray:
+    """J (m x n) at z."""
+    slopes = floats(field.closure(z)[1])
+    return slopes[: len(slopes) // 2, : field.size]
 
 
 def comes_back(path: Trajectory) -> bool:

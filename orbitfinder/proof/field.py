@@ -192,6 +192,11 @@ def check_provable(model: Model, constrained: bool = False) -> None:
             "system: under constraints only orbits of what nothing drives are proved, no parts nor events of families; "
             "prove orbits of it, without motors or motions, by themselves"
         )
+    if "independent" in model.system:
+        raise InputError(
+            "independent: the other coordinates follow from iterations or arcs of cosines, which theorems are not "
+            "about; find the orbit without it: where nothing drives it, it is proved in all coordinates"
+        )
     if not model.invariants:
         return
     names = ", ".join(invariant.name for invariant in model.invariants)

@@ -180,7 +180,7 @@ def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | No
             raise InputError(f"symmetry: orbits of driven systems are proved without any, got {asked!r}; leave it out")
         return ALONE if model.rates is not None else NONE
     if codes.closure is not None:
-        asked = closable(orbit.symmetry, asked)
+        asked = closable(orbit, model, codes, asked)
         return usable_symmetry(codes.rates, codes.energy, named(asked, model), model.degrees_of_freedom)
     if asked is not None:
         return named(asked, model)
