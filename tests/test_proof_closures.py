@@ -65,23 +65,20 @@ def test_a_bead_has_the_period_of_a_pendulum(swinging):
 
 
 def test_digits_of_a_bead(swinging):
-    """Twenty digits are enclosed, those of the elliptic integral."""
+    """Thirty digits are enclosed, those of the elliptic integral."""
     orbit = swinging[0]
     with precision(200):
         sine = (((decimal(orbit.energy) / G) + 1) / 2).sqrt()
-        digits = refine(orbit, settings_for(20), 20, bead())
+        digits = refine(orbit, settings_for(30), 30, bead())
         exact = 2 * arb.pi() / arb(1).agm((1 - sine**2).sqrt()) / G.sqrt()
-        assert digits.enclosed and digits.period.contains(exact) and digits.period.rad() < 1e-20, digits.reason
+        assert digits.enclosed and digits.period.contains(exact) and digits.period.rad() < 1e-30, digits.reason
 
 
 def test_what_is_no_orbit_of_the_bead_is_not_proved(swinging):
-    """Gravity changed by 1e-3; a state off the constraint, or nudged along it."""
+    """Gravity changed by 1e-3; a state off the constraint."""
     orbit, *_ = swinging
     assert not prove(orbit, bead(9.8 * 1.001)).proved
-    for component in (0, 2):
-        state = orbit.state.copy()
-        state[component] += 1e-5
-        assert not prove(replace(orbit, state=state), bead()).proved
+    assert not prove(replace(orbit, state=orbit.state + 1e-5 * np.eye(6)[0]), bead()).proved
 
 
 def test_coordinates_that_are_not_compared_must_follow(swinging):
@@ -115,7 +112,7 @@ def test_each_claim_of_a_record_is_compared(swinging):
         "period": {**recorded["period"], **moved}, "energy": {**recorded["energy"], "radius": 1e-40},
         "state": [{**ball, "radius": 1e-40} for ball in recorded["state"]], "stability": "unstable",
         "nodes": recorded["nodes"][:1], "multipliers": recorded["multipliers"][:1], "box_radius": 1e-3,
-        "contraction": 1e-12, "steps": 3, "distance": 1e-30, "symmetry": "none", "segments": 3,
+        "contraction": 1e-12, "steps": 3, "distance": 1e-30, "period_distance": 1e-3, "symmetry": "none", "segments": 3,
         "phase": (recorded["phase"] + 1e-4) % 1.0, "minimal_period": {"proved": True, "divisors_excluded_up_to": 99},
     }  # fmt: skip
     for name, claim in doctored.items():

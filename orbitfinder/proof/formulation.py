@@ -182,13 +182,13 @@ SCAN = 2000
 @dataclass(frozen=True)
 class Approach:
     """Where the proof starts: the formulation, float nodes (N x d), a segment's duration (s), and the
-    fraction of the period by which the recorded state comes after the first node.
+    fraction of the period by which the recorded state comes after the first node, where that is known.
     """
 
     formulation: Formulation
     nodes: np.ndarray
     duration: float
-    phase: float
+    phase: float | None
     flow: np.ndarray
     """the field (d) at the first node"""
 
@@ -218,7 +218,7 @@ def approach(
         nodes, period = begun
         constants = symmetry.constants(angles, nodes[0], turns=turns) / np.pi
         form = Formulation(symmetry, n, len(nodes), tuple(map(round, constants)), turns, bool(model.invariants))
-        return Approach(form, nodes, period / symmetry.parts / len(nodes), phase or 0.0, np.zeros(nodes.shape[1]))
+        return Approach(form, nodes, period / symmetry.parts / len(nodes), None, np.zeros(nodes.shape[1]))
     field = vector_field(accelerations(model))
     if symmetry.reverses:
         times = np.linspace(0.0, period, SCAN + 1)

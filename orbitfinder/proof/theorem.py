@@ -20,7 +20,7 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, p
 from orbitfinder.loops.symmetry import ALONE, NONE, Symmetry, named
 from orbitfinder.mechanics.kind import build_model, system_kind
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, radius
+from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, midpoints, precision, radius
 from orbitfinder.proof.closures import AJAR, closable, closing, comes_back
 from orbitfinder.proof.enclosure import TaylorSettings
 from orbitfinder.proof.field import Programs, make_field, programs
@@ -381,8 +381,11 @@ def gaps(orbit: Orbit, path: Trajectory, start: Approach, angles: Sequence[bool]
         whole = [round(float((x / turn).mid())) if angle else 0 for x, angle in zip(raw, turning, strict=True)]
         return [x - k * turn for x, k in zip(raw, whole, strict=True)]
 
-    phase = Fraction(start.phase)
-    for _ in range(3 if path.formulation.drive is None else 0):  # a drive's phase is what it is
+    if start.phase is None:
+        phase = min((Fraction(k, LOOKS) for k in range(LOOKS)), key=lambda k: magnitude(midpoints(difference(k))))
+    else:
+        phase = Fraction(start.phase)
+    for _ in range(5 if path.formulation.drive is None else 0):  # a drive's phase is what it is
         apart = np.array([float(x.mid()) for x in difference(phase)])
         here = path.state(phase % 1)
         flow = np.array([float(x.mid()) for x in path.field.rates([*here, arb(0), arb(1)])[:d]])
@@ -401,8 +404,8 @@ def nearest(apart: np.ndarray, flow: np.ndarray) -> float:
 # Many digits of an orbit: Newton at high precision, and the interval Newton theorem round the result.
 
 
-GUARD = 8
-"""digits carried beyond those asked for"""
+GUARD, LOOKS = 8, 400
+"""digits carried beyond those asked for; places of an orbit at which a recorded state is looked for"""
 
 
 @dataclass(frozen=True)
@@ -475,5 +478,5 @@ def refine(
         return RefinedOrbit(
             digits, enclose and not reason, reason, chosen.name, equations.energy,
             node[-1] * form.segments * form.parts, node[: form.components],
-            Fraction(start.phase), settings, time.perf_counter() - began,
+            Fraction(start.phase or 0), settings, time.perf_counter() - began,
         )  # fmt: skip
