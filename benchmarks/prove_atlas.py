@@ -10,7 +10,7 @@ and given again.
 
     python benchmarks/prove_atlas.py results/atlas/triple.sqlite --count 50 --jobs 2
     python benchmarks/prove_atlas.py --events
-    python benchmarks/prove_atlas.py --others      gaits, equilibria, connections
+    python benchmarks/prove_atlas.py --others      gaits, linkages, equilibria, connections
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import math
 import multiprocessing
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -60,6 +60,8 @@ FAMILIES = {
 """Events that are proved of `results/families`"""
 GAITS = ("simplest-walker-long", "simplest-walker-short", "simplest-walker-period-2", "compass-gait", "rimless-wheel")
 """Of `problems/hybrid`"""
+LOOPS = ("four-bar-crank-rocker", "slider-crank-spring", "watt-six-bar")
+"""Of `problems/mechanisms`, beside all of `problems/linkages`"""
 AT_REST = {
     "brusselator": ("b", 2.5), "fitzhugh-nagumo": ("I", 2.0), "lorenz": ("rho", 28.0), "morris-lecar": ("I", 250.0),
     "predator-prey": ("q", 1.0), "wing-flutter": ("U", 20.0),
@@ -100,9 +102,21 @@ def prove_events(folder: Path) -> dict[str, str]:
 
 def prove_gaits(folder: Path) -> dict[str, str]:
     """Records of orbits with events, and the reasons of those that could not be proved."""
+    return prove_problems(folder, [Path("problems/hybrid") / f"{name}.toml" for name in GAITS])
+
+
+def prove_linkages(folder: Path) -> dict[str, str]:
+    """Records of orbits under constraints, and the reasons of those that could not be proved."""
+    others = [Path("problems/mechanisms") / f"{name}.toml" for name in LOOPS]
+    return prove_problems(folder, [*sorted(Path("problems/linkages").glob("*.toml")), *others])
+
+
+def prove_problems(folder: Path, files: Sequence[Path]) -> dict[str, str]:
+    """Records of the orbits of problems, and the reasons of those that could not be proved."""
     failures = {}
-    for name in GAITS:
-        orbit = find_orbit(load_problem(Path("problems/hybrid") / f"{name}.toml"))
+    folder.mkdir(exist_ok=True)
+    for name, file in ((file.stem, file) for file in files):
+        orbit = find_orbit(load_problem(file))
         document = entry(prove(orbit))
         print(f"{name}: {document.get('stability') or document['reason']}", file=sys.stderr, flush=True)
         if document["proved"]:
@@ -131,7 +145,7 @@ def digits(ball: dict[str, Any]) -> str:
 
 
 def other_tables(folder: Path) -> list[str]:
-    """The tables of gaits and of equilibria."""
+    """The tables of gaits, of linkages and of equilibria."""
     lines = [
         "", "Orbits with events (`gaits`):", "",
         "| record | arcs | period (s) | radius | contraction | stability | wall time (s) |",
@@ -142,6 +156,17 @@ def other_tables(folder: Path) -> list[str]:
         lines.append(
             f"| {file.stem} | {proof['segments']} | {digits(proof['period'])} | {proof['box_radius']:.0e} "
             f"| {proof['contraction']:.1e} | {proof['stability']} | {proof['wall_time']} |"
+        )
+    lines += [
+        "", "Orbits under constraints, linkages and mechanisms with loops (`linkages`):", "",
+        "| record | symmetry | coordinates | period (s) | radius | contraction | stability | wall time (s) |",
+        "|---|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for file in sorted((folder / "linkages").glob("*.json")):
+        proof = json.loads(file.read_text())["proof"]
+        lines.append(
+            f"| {file.stem} | {proof['symmetry']} | {len(proof['state']) // 2} | {digits(proof['period'])} "
+            f"| {proof['box_radius']:.0e} | {proof['contraction']:.1e} | {proof['stability']} | {proof['wall_time']} |"
         )
     lines += [
         "", "Equilibria and Hopf points (`equilibria`; the radius is in the sizes of the unknowns):", "",
@@ -279,7 +304,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("atlas", type=Path, nargs="?")
     parser.add_argument("--events", action="store_true", help="prove events of families and no orbits")
-    parser.add_argument("--others", action="store_true", help="prove gaits, equilibria and connections")
+    parser.add_argument("--others", action="store_true", help="prove all else, no orbits of an atlas")
     parser.add_argument("--count", type=int, default=50, help="records wanted in all")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("results/proofs"))
@@ -289,8 +314,8 @@ def main() -> int:
     if options.events:
         failures = prove_events(options.out / "events")
     elif options.others:
-        failures = prove_gaits(options.out / "gaits") | prove_rest(options.out / "equilibria")
-        failures |= prove_connections(options.out / "connections")
+        failures = prove_gaits(options.out / "gaits") | prove_linkages(options.out / "linkages")
+        failures |= prove_rest(options.out / "equilibria") | prove_connections(options.out / "connections")
     elif options.atlas is not None:
         todo = tasks(options.atlas, options.out, options.count)
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:

@@ -58,15 +58,20 @@ def eliminated(balances: LinearBalances, arguments: list[ca.SX], invertible: boo
     """
     schur_sparsity = ca.mtimes(balances.jacobian, balances.force)
     if invertible and max(bandwidth(balances.mass), bandwidth(schur_sparsity)) <= UNROLLED_FACTORISATION_LIMIT:
-        solved = solve_positive_definite(balances.mass, ca.horzcat(balances.force, balances.bias))
-        weighted, free = solved[:, :-1], solved[:, -1]
-        schur = balances.jacobian @ weighted
-        forces = solve_positive_definite(schur, balances.right + balances.jacobian @ free)
-        return ca.Function("algebraic", arguments, [ca.vertcat(weighted @ forces - free, forces)])
+        return ca.Function("algebraic", arguments, [ca.vertcat(*written_out(balances))])
     parts = ca.Function("parts", arguments, [balances.matrix(), balances.vector()])
     inputs = [ca.MX.sym(f"i{k}", *argument.shape) for k, argument in enumerate(arguments)]
     matrix, vector = parts(*inputs)
     return ca.Function("algebraic", inputs, [ca.solve(matrix, vector)])
+
+
+def written_out(balances: LinearBalances) -> tuple[ca.SX, ca.SX]:
+    """a (n) and lambda (m), by the factors of M and then of S."""
+    solved = solve_positive_definite(balances.mass, ca.horzcat(balances.force, balances.bias))
+    weighted, free = solved[:, :-1], solved[:, -1]
+    schur = balances.jacobian @ weighted
+    forces = solve_positive_definite(schur, balances.right + balances.jacobian @ free)
+    return weighted @ forces - free, forces
 
 
 def acceleration_function(

@@ -328,7 +328,7 @@ class _EventProof:
         self.plain = Formulation(*given, integral, drive)
         check_graph(codes, self.plain, model)
         fold, phase = about.twist == (1, 1), None if drive is None else _phase(codes, about.cycles, drive)
-        self.form = TwistedFormulation(*given, integral and fold, phase, about.twist, not integral, integral)
+        self.form = TwistedFormulation(*given, integral and fold, phase, (), about.twist, not integral, integral)
         if not self.form.square:
             raise NotProved(f"{symmetry.name} leaves not as many equations as unknowns here; use none")
         fits = symmetry.reverses or len({*about.twist}) == 1

@@ -6,7 +6,8 @@ with tau the duration (s) of a segment and s the unfolding parameter. Both are c
 extended state z = (q, v, s, tau) (size d + 2, d = 2n), so that one integrator gives the derivatives with
 respect to everything that the theorem varies. Of a first-order system q is the whole state (d = n), v is empty and
 q' = tau (f(q) + s grad I(q)); the programs' results are then all of the rates, and none where v makes half of them.
-Of a driven system q is the whole state and the time, q' = tau (f(t, x), 1).
+Of a driven system q is the whole state and the time, q' = tau (f(t, x), 1). Under constraints phi(q) = 0, a is what
+M a + h = J^T lambda and J a + Jdot v = 0 give, without stabilisation: phi = 0 and J v = 0 then stay so, with s too.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.factorise import solve_positive_definite
+from orbitfinder.mechanics.factorise import LinearBalances, solve_positive_definite, written_out
 from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal, dense, exact, fmpq, identity
@@ -48,16 +49,18 @@ class Programs:
     mass: ScalarProgram | None
     clock: Multiple | None = None
     """the frequency of what drives it (rad/s), of a driven system"""
+    closure: ScalarProgram | None = None
+    """phi and J v (2m), their gradients (2m x d), of a system under constraints"""
 
     @property
     def all(self) -> tuple[ScalarProgram, ...]:
         """Those that whole turns of angles must leave as they are."""
-        return (self.rates,) if self.energy is None else (self.rates, self.energy)
+        return tuple(code for code in (self.rates, self.energy, self.closure) if code is not None)
 
 
-def programs(model: Model) -> Programs:
-    """The programs of a Model. `InputError` says what cannot be proved."""
-    check_provable(model)
+def programs(model: Model, constrained: bool = False) -> Programs:
+    """The programs of a Model, `constrained` where it may be. `InputError` says what cannot be proved."""
+    check_provable(model, constrained)
     n = model.degrees_of_freedom
     if model.forced:
         return _driven(model)
@@ -66,27 +69,34 @@ def programs(model: Model) -> Programs:
     if model.rates is not None:
         return _alone(model, model.rates, q, v, s, p)
     unfoldings = [invariant.unfolding for invariant in model.invariants]
-    graphs = [model.acceleration, model.kinetic, model.potential, *unfoldings]
+    graphs = [model.acceleration if model.constraint is None else model.constraint.phi, model.kinetic, model.potential,
+              *unfoldings]  # fmt: skip
     if not all(graph.is_a("SXFunction") for graph in graphs):
         raise InputError(NUMERICAL)
     inputs, x = [q, v, s, p], ca.vertcat(q, v)
     source, accelerations = _accelerations(model, q, v, p)
-    energy, mass, push = None, None, ca.SX(n, 1)
+    energy, mass, push, closure = None, None, ca.SX(n, 1), None
+    if model.constraint is not None:
+        closure = derived(
+            "closure", inputs, model.constraint.phi(q, p), sloped(x, lambda e: ca.vertcat(e, ca.jtimes(e, q, v)))
+        )
     for invariant in model.invariants:
         push = s * invariant.unfolding(q, v, p)
         check_unfolding(program(invariant.unfolding), n)
         energy = derived("energy", inputs, invariant.value(q, v, p), lambda exact: [exact, ca.gradient(exact, x)])
         mass = derived("mass", inputs, model.kinetic(q, v, p), lambda exact: [ca.hessian(exact, v)[0]])
     rates, slopes = with_slopes("accelerations", inputs, source, ca.vertcat(x, s), lambda e: accelerations(e) + push)
-    return Programs(rates, slopes, energy, mass)
+    return Programs(rates, slopes, energy, mass, closure=closure)
 
 
 def _accelerations(model: Model, q: ca.SX, v: ca.SX, p: ca.SX) -> tuple[ca.SX, Callable[[ca.SX], ca.SX]]:
     """What the accelerations (n) are made of, and how: of energies where a model conserves what these say, and is made
     of them as Lagrange has it, so that it does so to the last digit; else as they stand in the graph."""
-    given = model.acceleration(0.0, q, v, p)
     bent = ca.SX(0) if model.gyroscopic is None else model.gyroscopic(q, v, p)
     energies = ca.vertcat(model.kinetic(q, v, p) + bent, model.potential(q, p))
+    if model.constraint is not None:
+        return _first_kind(model, energies, q, v, p)
+    given = model.acceleration(0.0, q, v, p)
 
     def lagrange(both: ca.SX) -> ca.SX:
         matrix, bias = mass_matrix_and_bias(both[0], both[1], q, v)
@@ -95,6 +105,23 @@ def _accelerations(model: Model, q: ca.SX, v: ca.SX, p: ca.SX) -> tuple[ca.SX, C
     if not model.invariants or _graph(given, q, v, p) != _graph(lagrange(energies), q, v, p):
         return given, lambda exact: exact
     return energies, lagrange
+
+
+def _first_kind(model: Model, energies: ca.SX, q: ca.SX, v: ca.SX, p: ca.SX) -> tuple[ca.SX, Callable[[ca.SX], ca.SX]]:
+    """The same under constraints, as Lagrange's equations of the first kind."""
+    assert model.constraint is not None
+    phi, n = model.constraint.phi(q, p), q.numel()
+    forces = ca.SX(n, 1) if model.forces is None else model.forces(0.0, q, v, p)
+
+    def accelerations(exact: ca.SX) -> ca.SX:
+        rows, acting = exact[2 : 2 + phi.numel()], None if model.forces is None else exact[2 + phi.numel() :]
+        matrix, bias = mass_matrix_and_bias(exact[0], exact[1], q, v, acting)
+        return written_out(LinearBalances.held(matrix, bias, rows, q, v))[0]
+
+    if ca.sprank(ca.hessian(energies[0], v)[0]) < n:
+        raise InputError("system: some coordinates move no mass, and proofs under constraints need accelerations from "
+                         "the mass matrix; give each body its mass and inertia")  # fmt: skip
+    return ca.densify(ca.vertcat(energies, phi, forces)), accelerations
 
 
 def _graph(expression: ca.SX, *inputs: ca.SX) -> ScalarProgram:
@@ -156,14 +183,19 @@ def _driven(model: Model) -> Programs:
     return Programs(rates, slopes, None, None, clock)
 
 
-def check_provable(model: Model) -> None:
+def check_provable(model: Model, constrained: bool = False) -> None:
     """`InputError` unless the theorem covers the Model: the energy its only integral, or without any."""
     if not model.smooth:
         raise InputError("system: of systems with events only orbits are proved; this theorem is about smooth flows")
-    if model.constraint is not None:
+    if model.constraint is not None and (model.forced or not constrained):
         raise InputError(
-            "system: systems under constraints cannot be proved yet; of a mechanism give independent = [...], "
-            "or prove a chain"
+            "system: under constraints only orbits of what nothing drives are proved, no parts nor events of families; "
+            "prove orbits of it, without motors or motions, by themselves"
+        )
+    if "independent" in model.system:
+        raise InputError(
+            "independent: the other coordinates follow from iterations or arcs of cosines, which theorems are not "
+            "about; find the orbit without it: where nothing drives it, it is proved in all coordinates"
         )
     if not model.invariants:
         return
@@ -204,6 +236,7 @@ class Field:
     """of what drives it (rad/s)"""
     symplectic: bool = False
     """whether what drives it is the gradient of a potential, so that multipliers are in pairs mu, 1/mu"""
+    closure_program: ScalarProgram | None = None
 
     def states(self, z: Sequence[Any], order: int) -> list[Vector]:
         """Series of (q, v) (d lists of order + 1 balls) of the solution through z (d + 2)."""
@@ -224,6 +257,12 @@ class Field:
         assert self.energy_program is not None
         value, slope = self.energy_program.run(self._arguments(z), BALLS)
         return value[0], [slope.get(i, arb(0)) for i in range(self.dimension)]
+
+    def closure(self, z: Sequence[Any]) -> tuple[Vector, Any]:
+        """phi and J v (2m) at z, their gradients (2m x d), of a system under constraints."""
+        assert self.closure_program is not None
+        values, slopes = self.closure_program.run(self._arguments(z), BALLS)
+        return [values[i] for i in range(len(values))], dense(slopes, len(values), self.dimension)
 
     def mass(self, z: Sequence[Any]) -> Any:
         """Mass matrix M(q) (n x n) at z, of a mechanical system."""
@@ -253,7 +292,7 @@ def make_field(model: Model, codes: Programs | None = None, given: Mapping[int, 
         frequency = abs(frequency if clock.value is None else frequency * plain.fixed[clock.value])
     varied = recurrence(codes.jacobian, constants)
     turned = frequency is not None and gradient_forces(model, constants)
-    return Field(size, whole, plain, varied, codes.energy, codes.mass, parameters, frequency, turned)
+    return Field(size, whole, plain, varied, codes.energy, codes.mass, parameters, frequency, turned, codes.closure)
 
 
 def gradient_forces(model: Model, constants: Mapping[int, Sequence[Any]]) -> bool:

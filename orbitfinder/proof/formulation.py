@@ -13,6 +13,9 @@ reversals hold those that they flip. Where it conserves nothing, without the row
 no such reversals: the section alone fixes an orbit. Of a driven system the time is the last component of the state, 0
 at the first node and the drive's k periods at the end, which takes the section's place.
 
+Under m constraints phi(q) = 0 the first node satisfies phi = 0 and J v = 0 (with v = 0 phi = 0 alone), and m
+coordinates and their rates, which follow from the others, are left out of the conditions at the end.
+
 Unknowns: the first node's free components, the other nodes (2n each), s where it is used, and the
 segments' duration tau = T / (parts N). Equations: N - 1 times continuity (2n), then as above.
 
@@ -47,7 +50,7 @@ class Formulation:
 
     `constants` (d integers) are those of the symmetry's boundary rows in multiples of pi; `turns` (n integers) the
     whole turns of a period; `conserved` says that the energy is held. `drive` is the duration (s, a ball) of the
-    periods of a drive that the orbit takes.
+    periods of a drive that the orbit takes. `dependent` are coordinates (m) that constraints make of the others.
     """
 
     symmetry: Symmetry
@@ -57,6 +60,7 @@ class Formulation:
     turns: tuple[int, ...]
     conserved: bool = True
     drive: Any = None
+    dependent: tuple[int, ...] = ()
 
     @property
     def dimension(self) -> int:
@@ -86,8 +90,14 @@ class Formulation:
     @property
     def square(self) -> bool:
         """True when there are as many equations as unknowns: a reversal may hold too many components, or too few."""
-        equations = self.dimension * (self.segments - 1) + len(self.ends) + int(self.sectioned) + int(self.conserved)
+        ends = len(self.ends) + self.closures
+        equations = self.dimension * (self.segments - 1) + ends + int(self.sectioned) + int(self.conserved)
         return equations == self.unknowns
+
+    @property
+    def closures(self) -> int:
+        """Rows of phi and J v that are asked of the first node."""
+        return len(self.dependent) * (1 if self.symmetry.reverses else 2)
 
     @property
     def free(self) -> tuple[int, ...]:
@@ -97,6 +107,11 @@ class Formulation:
     @property
     def ends(self) -> tuple[int, ...]:
         """Components of the last state that conditions are put on."""
+        return tuple(i for i in self._ends if i % self.size not in self.dependent)
+
+    @property
+    def _ends(self) -> tuple[int, ...]:
+        """The same without constraints."""
         ends = (int(i) for i in np.nonzero(self.symmetry.rows(self.size)[1])[1])
         return (*ends, *range(self.components, self.dimension))
 
@@ -118,7 +133,8 @@ class Formulation:
         """What the components `ends` of the last state are to be, as balls."""
         if self.drive is not None:
             return [arb.pi() * k for k in self.constants] + [self.drive]
-        return [arb.pi() * k for k in self.constants[-len(self.ends) :]]
+        constants = zip(self._ends, self.constants[-len(self._ends) :], strict=True)
+        return [arb.pi() * k for i, k in constants if i in self.ends]
 
     def nodes(self, unknowns: Vector) -> list[Vector]:
         """The extended states z (d + 2) at the nodes from the unknowns."""
@@ -166,24 +182,24 @@ SCAN = 2000
 @dataclass(frozen=True)
 class Approach:
     """Where the proof starts: the formulation, float nodes (N x d), a segment's duration (s), and the
-    fraction of the period by which the recorded state comes after the first node.
+    fraction of the period by which the recorded state comes after the first node, where that is known.
     """
 
     formulation: Formulation
     nodes: np.ndarray
     duration: float
-    phase: float
+    phase: float | None
     flow: np.ndarray
     """the field (d) at the first node"""
 
 
 def approach(
     model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | None, phase: float | None = None,
-    frequency: Any = None,
+    frequency: Any = None, begun: tuple[np.ndarray, float] | None = None,
 ) -> Approach:  # fmt: skip
     """Nodes of the orbit in a formulation, by DOP853 from the recorded state; `phase`: which symmetric instant.
 
-    `frequency` (rad/s, a ball) is that of what drives the system.
+    `frequency` (rad/s, a ball) is that of what drives the system; `begun` as in `Options`.
     """
     n, period = model.degrees_of_freedom, orbit.period
     if orbit.state.size != len(model.state_names) or len(orbit.winding) != n:
@@ -197,8 +213,13 @@ def approach(
         )
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(period) and period > 0):
         raise InputError("state: state or period is not a usable number; run the problem again")
+    angles, begin, turns = np.asarray(model.angles), 0.0, tuple(int(k) for k in orbit.winding)
+    if begun is not None and symmetry.reverses and symmetry.forward is None:
+        nodes, period = begun
+        constants = symmetry.constants(angles, nodes[0], turns=turns) / np.pi
+        form = Formulation(symmetry, n, len(nodes), tuple(map(round, constants)), turns, bool(model.invariants))
+        return Approach(form, nodes, period / symmetry.parts / len(nodes), None, np.zeros(nodes.shape[1]))
     field = vector_field(accelerations(model))
-    angles, begin = np.asarray(model.angles), 0.0
     if symmetry.reverses:
         times = np.linspace(0.0, period, SCAN + 1)
         begin = symmetric_instant(field, times, integrate(field, orbit.state, times, SECOND), symmetry, angles, phase)
@@ -206,7 +227,6 @@ def approach(
     grid = begin + np.linspace(0.0, period / parts, count + 1)
     path = integrate(field, orbit.state, np.concatenate([[0.0], grid]) if begin > 0 else grid, SECOND)[-count - 1 :]
     constants = symmetry.constants(angles, path[0], path[-1], orbit.winding) / np.pi
-    turns = tuple(int(k) for k in orbit.winding)
     nodes, flow, drive = path[:-1], field(0.0, path[0]), None
     if frequency is not None:
         cycles = max(1, round(period * float(frequency.mid()) / (2 * np.pi)))

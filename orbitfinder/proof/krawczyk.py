@@ -70,6 +70,8 @@ def residual(equations: TheoremEquations, unknowns: Vector, ends: Sequence[Vecto
         rows += [a - b for a, b in zip(end, following, strict=False)]
     mirror = form.mirror
     rows += [ends[-1][i] + mirror[i] * nodes[0][i] - aim for i, aim in zip(form.ends, form.targets, strict=True)]
+    if form.closures:
+        rows += equations.field.closure(nodes[0])[0][: form.closures]
     for anchor, normal in equations.sections:
         rows.append(sum((w * (x - a) for w, x, a in zip(normal, nodes[0], anchor, strict=False)), arb(0)))
     return rows if equations.energy is None else [*rows, equations.field.energy(nodes[0])[0] - equations.energy]
@@ -110,6 +112,11 @@ def jacobian_rows(equations: TheoremEquations, box: Vector, derivatives: Sequenc
                 put(row, 0, i, arb(mirror[i]))
             else:
                 put(row, k + 1, i, arb(-1))
+    if form.closures:
+        slopes = equations.field.closure(form.nodes(box)[0])[1].tolist()[: form.closures]
+        for row, line in enumerate(slopes, d * (form.segments - 1) + len(form.ends)):
+            for j in range(d):
+                put(row, 0, j, line[j])
     for row, (_, normal) in enumerate(equations.sections, total - len(equations.sections) - int(form.conserved)):
         for i, weight in enumerate(normal):
             put(row, 0, i, arb(weight))

@@ -6,6 +6,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Context, Decimal, Inexact, InvalidOperation, localcontext
 from functools import partial
@@ -139,7 +140,11 @@ class Recorded:
 def options_of(recorded: Mapping[str, Any]) -> Options:
     """The options that a recorded proof was made with. Raises `InputError`."""
     known = read_as(Recorded, recorded, "proof: malformed entry", "prove the orbit again")
-    chosen = {"symmetry": known.symmetry, "segments": known.segments, "phase": known.phase % 1.0}
+    chosen: dict[str, Any] = {"symmetry": known.symmetry, "segments": known.segments, "phase": known.phase % 1.0}
+    with suppress(KeyError, TypeError, ValueError):
+        nodes = np.array([[float(ball["value"]) for ball in node] for node in recorded["nodes"]])
+        if nodes.shape == (known.segments, nodes.size // known.segments) and np.all(np.isfinite(nodes)):
+            chosen["begun"] = nodes, float(recorded["period"]["value"])
     return checked(Options(known.order, known.bits, known.tolerance, **chosen))
 
 

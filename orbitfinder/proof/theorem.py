@@ -20,7 +20,8 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, p
 from orbitfinder.loops.symmetry import ALONE, NONE, Symmetry, named
 from orbitfinder.mechanics.kind import build_model, system_kind
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, radius
+from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, midpoints, precision, radius
+from orbitfinder.proof.closures import AJAR, closable, closing, comes_back
 from orbitfinder.proof.enclosure import TaylorSettings
 from orbitfinder.proof.field import Programs, make_field, programs
 from orbitfinder.proof.formulation import Approach, Formulation, approach
@@ -30,6 +31,7 @@ from orbitfinder.proof.krawczyk import Krawczyk, TheoremEquations, krawczyk, sol
 from orbitfinder.proof.trajectory import (
     Stability,
     Trajectory,
+    horizon,
     minimal_period,
     monodromy,
     moves,
@@ -106,6 +108,8 @@ class Options(TaylorSettings):
     segments: int | None = None
     phase: float | None = None
     nearness: float = 1e-9
+    begun: tuple[np.ndarray, float] | None = None
+    """nodes (N x d) and period (s) to begin with, where they are known and no section is asked for"""
 
 
 def prove(
@@ -151,7 +155,7 @@ def proved_until(
                 f"symmetry: orbits with events are proved without any, not {options.symmetry!r}; leave it out"
             )
         return _until_proved(lambda: _prove_gait(orbit, model, options, say, enough), ALONE.name, options, began)
-    codes = programs(model)
+    codes = programs(model, True)
     with precision(options.bits):
         symmetry = chosen_symmetry(orbit, model, codes, options.symmetry)
     return _until_proved(
@@ -175,6 +179,9 @@ def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | No
         if asked not in (None, "none"):
             raise InputError(f"symmetry: orbits of driven systems are proved without any, got {asked!r}; leave it out")
         return ALONE if model.rates is not None else NONE
+    if codes.closure is not None:
+        asked = closable(orbit, model, codes, asked)
+        return usable_symmetry(codes.rates, codes.energy, named(asked, model), model.degrees_of_freedom)
     if asked is not None:
         return named(asked, model)
     return usable_symmetry(codes.rates, codes.energy, named(orbit.symmetry, model), model.degrees_of_freedom)
@@ -196,7 +203,8 @@ def _prove(
     orbit: Orbit, model: Model, codes: Programs, symmetry: Symmetry, options: Options, say: Progress,
     enough: Callable[[Proof], bool],
 ) -> Proof:  # fmt: skip
-    start = approach(model, orbit, symmetry, options.segments, options.phase, frequency(model, codes))
+    given = options.segments, options.phase, frequency(model, codes), options.begun
+    start = closing(model, codes, approach(model, orbit, symmetry, *given))
     check_graph(codes, start.formulation, model)
     equations = make_equations(model, codes, start, level(orbit, codes))
     centre, rounds = solve(equations, unknowns_at(start), options, CENTRE)
@@ -341,13 +349,15 @@ def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, o
     """What follows from the zero: that it is an orbit, the recorded one, its period and multipliers."""
     form = start.formulation
     check_motion(path, model, "the state", "the orbit")
-    distance, apart = gaps(orbit, path, start, model.angles)
+    if not comes_back(path):
+        raise NotProved(AJAR)
+    distance, apart, phase = gaps(orbit, path, start, model.angles)
     check_near(distance, apart, options)
     minimal, divisors, reason = minimal_period(path, model.angles)
     if not minimal:
         raise NotProved(f"an orbit closes after this period, but it could be a multiple of the minimal one: {reason}")
     return {
-        "segments": form.segments, "period": path.period, "phase": start.phase,
+        "segments": form.segments, "period": path.period, "phase": phase,
         "tightness": radius(path.box),
         "nodes": [node[: form.components] for node in form.nodes(path.box)],
         "unfolding": path.box[-2] if form.unfolded else None,
@@ -356,8 +366,8 @@ def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, o
     }  # fmt: skip
 
 
-def gaps(orbit: Orbit, path: Trajectory, start: Approach, angles: Sequence[bool]) -> tuple[float, float]:
-    """Upper bounds of the distances of the recorded state (rad, rad/s) and period (s) from the proved ones.
+def gaps(orbit: Orbit, path: Trajectory, start: Approach, angles: Sequence[bool]) -> tuple[float, float, float]:
+    """Upper bounds of the distances of the recorded state (rad, rad/s) and period (s) from the proved ones, and phase.
 
     The recorded state is compared with the orbit's (angles modulo whole turns) at the phase at which it was
     recorded, corrected along the flow.
@@ -371,13 +381,16 @@ def gaps(orbit: Orbit, path: Trajectory, start: Approach, angles: Sequence[bool]
         whole = [round(float((x / turn).mid())) if angle else 0 for x, angle in zip(raw, turning, strict=True)]
         return [x - k * turn for x, k in zip(raw, whole, strict=True)]
 
-    phase = Fraction(start.phase)
-    for _ in range(3 if path.formulation.drive is None else 0):  # a drive's phase is what it is
+    if start.phase is None:
+        phase = min((Fraction(k, LOOKS) for k in range(LOOKS)), key=lambda k: magnitude(midpoints(difference(k))))
+    else:
+        phase = Fraction(start.phase)
+    for _ in range(5 if path.formulation.drive is None else 0):  # a drive's phase is what it is
         apart = np.array([float(x.mid()) for x in difference(phase)])
         here = path.state(phase % 1)
         flow = np.array([float(x.mid()) for x in path.field.rates([*here, arb(0), arb(1)])[:d]])
         phase -= Fraction(nearest(apart, flow) / float(path.period.mid()))
-    return magnitude(difference(phase)), magnitude([path.period - arb(float(orbit.period))])
+    return magnitude(difference(phase)), magnitude([path.period - arb(float(orbit.period))]), float(phase % 1)
 
 
 def nearest(apart: np.ndarray, flow: np.ndarray) -> float:
@@ -391,8 +404,8 @@ def nearest(apart: np.ndarray, flow: np.ndarray) -> float:
 # Many digits of an orbit: Newton at high precision, and the interval Newton theorem round the result.
 
 
-GUARD = 8
-"""digits carried beyond those asked for"""
+GUARD, LOOKS = 8, 400
+"""digits carried beyond those asked for; places of an orbit at which a recorded state is looked for"""
 
 
 @dataclass(frozen=True)
@@ -440,9 +453,9 @@ def refine(
     began, say = time.perf_counter(), progress or (lambda line: None)
     with precision(settings.bits):
         model = model or provable_model(orbit)
-        codes = programs(model)
+        codes = programs(model, True)
         chosen = chosen_symmetry(orbit, model, codes, symmetry)
-        start = approach(model, orbit, chosen, None, frequency=frequency(model, codes))
+        start = closing(model, codes, approach(model, orbit, chosen, None, frequency=frequency(model, codes)))
         equations = make_equations(model, codes, start, level(orbit, codes))
         rough = solve(equations, unknowns_at(start), TaylorSettings(), 1e-20)[0]
         centre, rounds = solve(equations, rough, settings, 10.0 ** -(digits + GUARD // 2))
@@ -454,6 +467,8 @@ def refine(
                 box = [x + arb(0, 10.0 ** -max(digits - GUARD, 8)) for x in centre]
                 again = krawczyk(equations, box, settings)
                 image, reason = (again.image, "") if again.proved else (centre, f"contraction {again.contraction:.3g}")
+                if again.proved and not comes_back(horizon(equations, image, again.arcs)):
+                    reason = AJAR
             except (IntegrationError, NotProved, ZeroDivisionError) as error:
                 reason = str(error)
         if enclose and not reason and radius(image) > 10.0**-digits:
@@ -463,5 +478,5 @@ def refine(
         return RefinedOrbit(
             digits, enclose and not reason, reason, chosen.name, equations.energy,
             node[-1] * form.segments * form.parts, node[: form.components],
-            Fraction(start.phase), settings, time.perf_counter() - began,
+            Fraction(start.phase or 0), settings, time.perf_counter() - began,
         )  # fmt: skip

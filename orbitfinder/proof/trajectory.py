@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.proof.balls import Vector, arb, arb_mat, between, block, eigenvalues, fmpq, identity
+from orbitfinder.proof.balls import Vector, arb, arb_mat, between, block, eigenvalues, exact, fmpq, identity
 from orbitfinder.proof.enclosure import TaylorSettings, Tube
 from orbitfinder.proof.field import Field
 from orbitfinder.proof.formulation import Formulation, image
@@ -114,10 +114,14 @@ def escape(path: Trajectory, angles: Sequence[bool]) -> tuple[Fraction, int] | N
 
     Until then the orbit has not been back at its first state.
     """
-    form = path.formulation
-    rates, turning = path.field.rates(path.first)[: form.dimension], dict(enumerate(angles))
-    component = max(range(len(rates)), key=lambda i: float(abs(rates[i]).lower().mid()))
-    reached = Fraction(0)
+    rates = path.field.rates(path.first)[: path.formulation.dimension]
+    quickest = sorted(range(len(rates)), key=lambda i: -float(abs(rates[i]).lower().mid()))
+    return next(filter(None, (_moving(path, angles, component) for component in quickest)), None)
+
+
+def _moving(path: Trajectory, angles: Sequence[bool], component: int) -> tuple[Fraction, int] | None:
+    """See `escape`, of a component."""
+    form, turning, reached = path.formulation, dict(enumerate(angles)), Fraction(0)
     for k, steps in enumerate(path.steps):
         for step in steps:
             for piece in range(PIECES):
@@ -180,28 +184,32 @@ def _apart(difference: Any, angle: bool) -> bool:
 def reduced(path: Trajectory, matrix: Any) -> Any:
     """The monodromy on the energy surface modulo the flow (2n - 2 square; modulo the flow alone without an energy).
 
-    With f the field, g = grad E, g Phi = g and Phi f = f; in a basis (f, W, u) with g W = 0 the matrix
-    is block triangular and its middle block is what is asked for.
+    With f the field, Phi f = f; and where g v = 0, of the gradients g of the energy and of what constraints hold,
+    g Phi v = 0. In a basis (f, W, U) with g W = 0 the matrix is block triangular and its middle block is what is asked
+    for (2(n - m) - 2 square under m constraints).
     """
     size = path.formulation.dimension
     flow = path.field.rates(path.first)[:size]
     f, columns = np.array([float(x.mid()) for x in flow]), [flow]
-    if path.formulation.conserved:
-        slope = path.field.energy(path.first)[1]
-        g = np.array([float(x.mid()) for x in slope])
-        u = g / np.linalg.norm(g)
-        tangent = f - (f @ u) * u
-        span = np.linalg.svd(np.vstack([u, tangent / np.linalg.norm(tangent)]))[2][2:]
-        across = sum((a * b for a, b in zip(slope, map(arb, u), strict=True)), arb(0))
-        for w in span:
-            part = sum((a * arb(b) for a, b in zip(slope, w, strict=True)), arb(0)) / across
-            columns.append([arb(b) - part * arb(c) for b, c in zip(w, u, strict=True)])
-        columns.append([arb(c) for c in u])
-    else:
-        columns += [list(map(arb, w)) for w in np.linalg.svd(f[None] / np.linalg.norm(f))[2][1:].tolist()]
+    held = _held(path)
+    g = np.array([[float(x.mid()) for x in slope] for slope in held]).reshape(-1, size)
+    u = np.linalg.svd(g, full_matrices=False)[2]
+    tangent = f - u.T @ (u @ f)
+    span = np.linalg.svd(np.vstack([u, tangent / np.linalg.norm(tangent)]))[2][len(u) + 1 :]
+    if held:
+        slopes, across = arb_mat(held), exact(u.T)
+        parts = across * (slopes * across).solve(slopes * exact(span.T), algorithm="precond")
+        span = (exact(span.T) - parts).transpose().tolist()
+    columns += [*([arb(x) for x in w] for w in (*span, *u))]
     basis = arb_mat(size, size, [columns[j][i] for i in range(size) for j in range(size)])
-    whole, last = basis.solve(matrix * basis, algorithm="precond").tolist(), size - int(path.formulation.conserved)
+    whole, last = basis.solve(matrix * basis, algorithm="precond").tolist(), size - len(held)
     return arb_mat([row[1:last] for row in whole[1:last]])
+
+
+def _held(path: Trajectory) -> list[Vector]:
+    """The gradients (d) of what the motion keeps, at the first node: of phi and J v, of the energy."""
+    slopes = path.field.closure(path.first)[1].tolist() if path.formulation.dependent else []
+    return [*slopes, path.field.energy(path.first)[1]] if path.formulation.conserved else slopes
 
 
 @dataclass(frozen=True)
