@@ -220,7 +220,7 @@ def test_nothing_in_a_file_becomes_markup(file, tmp_path):
 def test_a_notebook_draws_the_curve_and_names_its_events(file):
     rest = of.load_equilibria(file)
     shown = rest._repr_html_()
-    assert shown.count("<polyline") == 2 and shown.count("stroke-dasharray") == 1 and shown.count("<circle") == 1
+    assert shown.count("<polyline") == 2 and shown.count("stroke-dasharray") == 1 and shown.count("<title>") == 1
     assert "supercritical hopf at 2" in shown and "rate = 2" in shown
     assert ">v<" in shown and ">x2<" in replace(rest, system={"kind": "python", "function": "none"})._repr_html_()
 
