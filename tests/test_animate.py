@@ -20,6 +20,7 @@ from orbitfinder.show.animate import (
     simulation_clip,
     smooth,
 )
+from orbitfinder.show.html import motions
 
 ROOT = Path(__file__).parents[1]
 
@@ -159,3 +160,4 @@ def test_a_robot_is_filmed_by_its_solids_within_the_picture() -> None:
     grey = picture[~paper & (np.ptp(picture, axis=2) < 8)]
     assert len(np.unique(blue, axis=0)) > 4 and len(np.unique(grey, axis=0)) > 2
     assert min(len(blue), len(grey)) > 300
+    assert motions(orbit)[0].count('stroke-width="3"') == 3  # where only lines are drawn, each link
