@@ -20,6 +20,7 @@ from orbitfinder.show.animate import (
     simulation_clip,
     smooth,
 )
+from orbitfinder.show.html import motions
 
 ROOT = Path(__file__).parents[1]
 
@@ -153,3 +154,18 @@ def test_paths_are_smooth_and_go_through_the_frames() -> None:
     path = smooth(circle)
     np.testing.assert_allclose(path[::5], circle, atol=1e-14)
     assert np.abs(np.hypot(*path.T) - 1.0).max() < 0.01 < 1.0 - np.cos(np.pi / 12)
+
+
+def test_a_robot_is_filmed_by_its_solids_within_the_picture() -> None:
+    """Paper all round, surfaces in several shades of light in it, and bodies of the ground in another colour."""
+    orbit = load_orbit(ROOT / "docs" / "gallery" / "orbits" / "robots-a1-leg.json")
+    small = AnimationSettings(pixels=120, rate=25, periods=1, slow=2.0, supersampling=1)
+    clip = orbit_clip(orbit, settings=small)
+    picture = np.asarray(draw_frames(clip, small)[0].convert("RGB"), int)[26:]
+    paper = (picture == 255).all(axis=2)
+    assert paper[:, [0, -1]].all() and paper[-1].all() and 0.1 < 1 - paper.mean() < 0.5
+    blue = picture[picture[:, :, 2] > picture[:, :, 0] + 40]
+    grey = picture[~paper & (np.ptp(picture, axis=2) < 8)]
+    assert len(np.unique(blue, axis=0)) > 4 and len(np.unique(grey, axis=0)) > 2
+    assert min(len(blue), len(grey)) > 300
+    assert motions(orbit)[0].count('stroke-width="3"') == 3  # where only lines are drawn, each link

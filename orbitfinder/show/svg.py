@@ -203,7 +203,9 @@ def _upright(points: np.ndarray) -> np.ndarray:
 
 
 LOOKS = {
-    "rod": f'fill="none" stroke="{BODY}" stroke-width="3" stroke-linejoin="round" stroke-linecap="round"',
+    **dict.fromkeys(
+        ("rod", "bone"), f'fill="none" stroke="{BODY}" stroke-width="3" stroke-linejoin="round" stroke-linecap="round"'
+    ),
     "spring": 'fill="none" stroke="currentColor" stroke-opacity=".7" stroke-width="1.2"',
     "disc": f'fill="none" stroke="{BODY}" stroke-width="1.5"',
     "slider": f'fill="{BODY}"',
