@@ -130,13 +130,20 @@ def krawczyk(equations: TheoremEquations, box: Vector, settings: TaylorSettings)
 
 
 def contracted(values: Sequence[Any], slopes: Any, box: Vector) -> tuple[Vector, float]:
-    """K(X) and the norm of 1 - C DF(X), from F at the centre and DF over the box."""
+    """K(X) and the norm of 1 - C DF(X), from F at the centre and DF over the box.
+
+    Where K(X) lies inside X, so does its image by the same C and DF(X), which holds the zero too: that is returned.
+    """
     centre = midpoints(box)
     inverse = exact(approximate_inverse(floats(slopes)))
     defect = exact(np.eye(len(centre))) - inverse * slopes
-    moved = inverse * column(values)
-    spread = defect * column([x - m for x, m in zip(box, centre, strict=True)])
-    return [m - f + e for m, f, e in zip(centre, moved.entries(), spread.entries(), strict=True)], norm(defect)
+    fixed = column(centre) - inverse * column(values)
+
+    def image(of: Vector) -> Vector:
+        return list((fixed + defect * (column(of) - column(centre))).entries())
+
+    first = image(box)
+    return image(image(first)) if inside(box, first) else first, norm(defect)
 
 
 def approximate_inverse(matrix: np.ndarray) -> np.ndarray:

@@ -30,6 +30,7 @@ from orbitfinder.proof.krawczyk import Krawczyk, TheoremEquations, krawczyk, sol
 from orbitfinder.proof.trajectory import (
     Stability,
     Trajectory,
+    horizon,
     minimal_period,
     monodromy,
     moves,
@@ -203,20 +204,24 @@ def _prove(
     pieces = plural(start.formulation.segments, "segment")
     say(f"Newton settled in {plural(rounds, 'iteration')}; integrating {pieces} of a box")
     contracted = enclosed(lambda box: krawczyk(equations, box, options), centre, say)
-    path, rounds = trajectory(equations, contracted.image, options), 0
+    path, rounds = horizon(equations, contracted.image, contracted.arcs), 0
     while True:
-        if verdict(path).verdict != "open" or rounds >= SHARPENINGS:
-            proof = Proof(
-                True, "", symmetry.name, options, 0.0, steps=sum(len(arc[3]) for arc in contracted.arcs),
-                radius=radius(contracted.box), contraction=contracted.contraction, energy=equations.energy,
-                **conclusions(orbit, model, path, start, options),
-            )  # fmt: skip
-            if rounds >= 2 * SHARPENINGS or enough(proof):
-                return proof
-        rounds += 1
+        if verdict(path).verdict != "open" or rounds > SHARPENINGS:
+            try:
+                proof = Proof(
+                    True, "", symmetry.name, options, 0.0, steps=sum(len(arc[3]) for arc in contracted.arcs),
+                    radius=radius(contracted.box), contraction=contracted.contraction, energy=equations.energy,
+                    **conclusions(orbit, model, path, start, options),
+                )  # fmt: skip
+                if rounds > 2 * SHARPENINGS or enough(proof):
+                    return proof
+            except NotProved:
+                if rounds:
+                    raise
         say(f"multipliers or recorded balls open in a box of radius {radius(path.box):.1g}; once more in a smaller one")
         with precision(options.bits + 32 * rounds):
             path = trajectory(equations, path.box, finer(options, rounds))
+        rounds += 1
 
 
 def finer(options: Options, rounds: int) -> Options:
