@@ -322,7 +322,7 @@ class _BranchProof:
         """A piece through orbits at Chebyshev's points between two energies, from unknowns near those at an e."""
         places = np.polynomial.chebyshev.chebpts1(DEGREE + 1)
         rows, middle, half = [], 0.5 * (low + high), 0.5 * (high - low)
-        inverse = linearised(replace(self.equations, energy=arb(middle)), near(0.0), ROUGH)[1]
+        inverse = linearised(replace(self.equations, energy=arb(middle)), near(0.0), ROUGH)
         for place in places.tolist():
             here = replace(self.equations, energy=arb(middle) + arb(half) * arb(place))
             rows.append([float(x) for x in solve(here, near(place), ROUGH, 1e-13, self.settings.farthest, inverse)[0]])

@@ -200,7 +200,7 @@ def _prove(
     start = approach(model, orbit, symmetry, options.segments, options.phase, frequency(model, codes))
     check_graph(codes, start.formulation, model)
     equations = make_equations(model, codes, start, level(orbit, codes))
-    centre, rounds = solve(equations, unknowns_at(start), options, CENTRE)
+    centre, rounds = solve(equations, unknowns_at(start), options, 1e-10)  # what is left of it is far less
     pieces = plural(start.formulation.segments, "segment")
     say(f"Newton settled in {plural(rounds, 'iteration')}; integrating {pieces} of a box")
     contracted = enclosed(lambda box: krawczyk(equations, box, options), centre, say)
