@@ -52,13 +52,19 @@ class TaylorSettings:
     """How the validated integrator works.
 
     `order` of the Taylor polynomial, Arb's `bits`, `tolerance` on the remainder of one step (rad,
-    rad/s) and the shortest step that is tried, as a part of the segment.
+    rad/s) and the shortest step that is tried, as a part of the segment; derivatives go to a `share` of the order.
     """
 
-    order: int = 20
+    order: int = 22
     bits: int = 106
-    tolerance: float = 1e-18
+    tolerance: float = 1e-17
     shortest: float = 1e-8
+    share: float = 0.8
+
+    @property
+    def varied(self) -> int:
+        """The order of the derivatives' series."""
+        return round(self.share * self.order)
 
 
 @dataclass(frozen=True)
@@ -175,9 +181,9 @@ def transition_remainder(
     return None
 
 
-def _widened(balls: Vector, factor: float = 1.5) -> Vector:
+def _widened(balls: Vector) -> Vector:
     """The next trial for a remainder after one whose image was not inside it."""
-    return [arb(x.mid(), factor * arb(x.rad()) + abs(x).upper() * 2.0**-10 + LEAST) for x in balls]
+    return [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + LEAST) for x in balls]
 
 
 # --------------------------------------------------------------------------------------------------
@@ -266,12 +272,12 @@ class Cloud:
         d = field.dimension
         about = (self.frame * self.spread + self.slopes * self.start).entries() + self.start.entries()[d:]
         box = column([x.union(0) for x in about])
-        near = _widened((self.pull * box).entries(), 1.125)
+        near = _widened((self.pull * box).entries())
         first, constants = box.entries()[:d], [c + x for c, x in zip(jet.z[d:], box.entries()[d:], strict=True)]
         for _ in range(GUESSES):
             over = [[a + x, b + y, *c] for (a, b, *c), x, y in zip(jet.states, first, near, strict=True)]
             try:
-                flow = self.flow(field, jet, step, over, constants, 4 * settings.order // 5)
+                flow = self.flow(field, jet, step, over, constants, settings.varied)
             except (ValueError, ZeroDivisionError):  # Arb's of a quotient
                 return None
             if flow is None:

@@ -172,7 +172,7 @@ def norm(matrix: Any) -> float:
 MOST_ITERATIONS = 30
 ROUGH = 1e-5
 """Corrections above this make a new Jacobian worth while"""
-SLOPES = TaylorSettings(order=14, tolerance=1e-8)
+SLOPES = TaylorSettings(order=10, tolerance=1e-6)
 """Of the Jacobian, on which it depends how many digits an iteration gains"""
 
 

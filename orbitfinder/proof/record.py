@@ -146,7 +146,7 @@ def checked(options: Options) -> Options:
         if not low <= value <= high:
             raise InputError(f"{name}: must be from {low} to {high}, got {value}; the default is fine for most orbits")
     if not 1e-40 <= options.tolerance < 1e-6:
-        raise InputError(f"tolerance: must be from 1e-40 to 1e-6, got {options.tolerance}; the default is 1e-18")
+        raise InputError(f"tolerance: must be from 1e-40 to 1e-6, got {options.tolerance}; the default is 1e-17")
     return options
 
 

@@ -203,8 +203,9 @@ def _prove(
     centre, rounds = solve(equations, unknowns_at(start), options, 1e-10)  # what is left of it is far less
     pieces = plural(start.formulation.segments, "segment")
     say(f"Newton settled in {plural(rounds, 'iteration')}; integrating {pieces} of a box")
-    contracted = enclosed(lambda box: krawczyk(equations, box, options), centre, say)
+    contracted = enclosed(lambda box: krawczyk(equations, box, replace(options, share=0.6)), centre, say)
     path, rounds = horizon(equations, contracted.image, contracted.arcs), 0
+    coarse = replace(options, tolerance=max(options.tolerance, 1e-13), share=0.9)  # for the multipliers
     while True:
         if verdict(path).verdict != "open" or rounds > SHARPENINGS:
             try:
@@ -220,7 +221,7 @@ def _prove(
                     raise
         say(f"multipliers or recorded balls open in a box of radius {radius(path.box):.1g}; once more in a smaller one")
         with precision(options.bits + 32 * rounds):
-            path = trajectory(equations, path.box, finer(options, rounds))
+            path = trajectory(equations, path.box, finer(options, rounds) if rounds else coarse)
         rounds += 1
 
 

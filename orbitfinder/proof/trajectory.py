@@ -88,7 +88,12 @@ def monodromy(path: Trajectory) -> Any:
 
 def positive_mass(path: Trajectory) -> bool:
     """True when the mass matrix is positive definite at every state on the way (L D L^T of its enclosures)."""
-    return all(positive_definite(path.field.mass(step.reach)) for steps in path.steps for step in steps)
+
+    def positive(step: Tube, pieces: int) -> bool:
+        parts = (step.at(between(*(arb(step.h) * j / pieces for j in (k, k + 1)))) for k in range(pieces))
+        return all(positive_definite(path.field.mass(part + step.constants)) for part in parts)
+
+    return all(positive(step, 1) or positive(step, PIECES) for steps in path.steps for step in steps)
 
 
 def positive_definite(matrix: Any) -> bool:
@@ -233,7 +238,7 @@ def stability(reduced: Any, conserved: bool = True) -> Stability:
         multipliers, apart = eigenvalues(reduced)
     except (ValueError, ZeroDivisionError):
         multipliers, apart = [], False
-    if not multipliers or (conserved and not apart):
+    if not multipliers:
         return Stability("open", "two multipliers could not be separated", [])
     multipliers.sort(key=lambda mu: (-round(float(abs(mu).mid()), 6), float(mu.imag.mid())))
     largest = abs(multipliers[0])
@@ -243,6 +248,8 @@ def stability(reduced: Any, conserved: bool = True) -> Stability:
         return Stability(
             "unstable", f"a multiplier of absolute value {arb(largest).str(12)} is off the unit circle", multipliers
         )
+    if conserved and not apart:
+        return Stability("open", "two multipliers could not be separated", [])
     if not conserved:
         return Stability("open", "a multiplier could be on the unit circle or off it", multipliers)
     for k, mu in enumerate(multipliers):
