@@ -59,7 +59,7 @@ class TaylorSettings:
     bits: int = 106
     tolerance: float = 1e-17
     shortest: float = 1e-8
-    share: float = 0.8
+    share: float = 0.85
 
     @property
     def varied(self) -> int:

@@ -203,7 +203,7 @@ def _prove(
     centre, rounds = solve(equations, unknowns_at(start), options, 1e-10)  # what is left of it is far less
     pieces = plural(start.formulation.segments, "segment")
     say(f"Newton settled in {plural(rounds, 'iteration')}; integrating {pieces} of a box")
-    contracted = enclosed(lambda box: krawczyk(equations, box, replace(options, share=0.6)), centre, say)
+    contracted = enclosed(lambda box: krawczyk(equations, box, options), centre, say)
     path, rounds = horizon(equations, contracted.image, contracted.arcs), 0
     coarse = replace(options, tolerance=max(options.tolerance, 1e-13), share=0.9)  # for the multipliers
     while True:
