@@ -55,7 +55,7 @@ from orbitfinder.proof.krawczyk import (
     residual,
     solve,
 )
-from orbitfinder.proof.record import DIGITS, MARGIN, close
+from orbitfinder.proof.record import DIGITS, MARGIN, bounding
 from orbitfinder.proof.theorem import (
     CENTRE,
     NotProved,
@@ -447,7 +447,7 @@ def contradictions(recorded: ProvedBranch, fresh: ProvedBranch) -> list[str]:
     wrong = [
         f"contraction from {old.low!r} J: recorded {old.contraction:.3g}, found {new.contraction:.3g}"
         for old, new in zip(recorded.pieces, fresh.pieces, strict=True)
-        if not close(old.contraction, new.contraction)
+        if not bounding(old.contraction, new.contraction)
     ]
     if len(recorded.passages) != len(fresh.passages):
         return [*wrong, f"events: {len(recorded.passages)} recorded, {len(fresh.passages)} can be tested"]
