@@ -238,7 +238,7 @@ def stability(reduced: Any, conserved: bool = True) -> Stability:
         multipliers, apart = eigenvalues(reduced)
     except (ValueError, ZeroDivisionError):
         multipliers, apart = [], False
-    if not multipliers:
+    if not multipliers or (conserved and not apart):
         return Stability("open", "two multipliers could not be separated", [])
     multipliers.sort(key=lambda mu: (-round(float(abs(mu).mid()), 6), float(mu.imag.mid())))
     largest = abs(multipliers[0])
@@ -248,8 +248,6 @@ def stability(reduced: Any, conserved: bool = True) -> Stability:
         return Stability(
             "unstable", f"a multiplier of absolute value {arb(largest).str(12)} is off the unit circle", multipliers
         )
-    if conserved and not apart:
-        return Stability("open", "two multipliers could not be separated", [])
     if not conserved:
         return Stability("open", "a multiplier could be on the unit circle or off it", multipliers)
     for k, mu in enumerate(multipliers):
