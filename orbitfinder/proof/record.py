@@ -241,7 +241,7 @@ COMPARED: dict[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("period", "energy", "state", "nodes", "unfolding"), holds),
     "multipliers": holds_each,
     "contraction": bounding,
-    "steps": partial(close, factor=4.0),
+    "steps": partial(close, factor=2.5),
     **dict.fromkeys(("distance", "period_distance", "enclosure_radius"), _wider),
     "box_radius": at_least,
     "phase": lambda recorded, fresh: (
