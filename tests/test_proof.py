@@ -228,7 +228,7 @@ def test_prove_records_and_verify_replays(saved):
     entry = document.pop("proof")
     assert document == before and digest(document) == document["record"]
     assert entry["proved"] and entry["box_radius"] < 1e-9 and entry["contraction"] < 1
-    assert entry["order"] == 20 and entry["bits"] == 106 and entry["steps"] > 0
+    assert entry["order"] == 22 and entry["bits"] == 106 and entry["steps"] > 0
     assert abs(float(entry["period"]["value"]) - before["period"]) < 1e-12
     assert len(entry["multipliers"]) == len(before["floquet_multipliers"])
     assert entry["versions"]["python-flint"] == flint.__version__

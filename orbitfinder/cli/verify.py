@@ -154,9 +154,9 @@ def symmetry_option(what: str) -> Decorator:
 @orbit_files
 @symmetry_option("Prove in this symmetry; default: the recorded one. none: unique among all near.")
 @option("segments", "Shooting segments; default: by the largest multiplier.", kind=int)
-@option("order", "Order of the Taylor series.  [default: 20]", kind=int)
+@option("order", "Order of the Taylor series.  [default: 22]", kind=int)
 @option("bits", "Precision of the ball arithmetic.  [default: 106]", kind=int)
-@option("tolerance", "Remainder allowed in one step.  [default: 1e-18]", kind=FINITE)
+@option("tolerance", "Remainder allowed in one step.  [default: 1e-17]", kind=FINITE)
 @option("record/--no-record", "Write the proof into the ORBIT.json.", True)
 @option("from low", "Of a FAMILY.json: prove it from this energy (J) ...", kind=FINITE)
 @option("to high", "... to this one, and its events in between.", kind=FINITE)

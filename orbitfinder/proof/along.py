@@ -27,10 +27,11 @@ from orbitfinder.proof.balls import (
     exact,
     identity,
     truncated,
+    up_to,
 )
-from orbitfinder.proof.enclosure import Cloud, TaylorSettings, Tube, transition_remainder
-from orbitfinder.proof.field import Field, Jet, slope_series
-from orbitfinder.proof.series import coefficients
+from orbitfinder.proof.enclosure import Cloud, Tube, horner, transition_remainder
+from orbitfinder.proof.field import Field, Jet, rate_series
+from orbitfinder.proof.series import coefficients, outputs
 
 DEGREE = 8
 """D, the highest power of e that is carried"""
@@ -197,6 +198,10 @@ class Bundle(Cloud):
         """Enclosure (d + 2) of all solutions, by the mean value theorem from z(e)."""
         return along(super().hull)
 
+    def ranged(self, values: Vector) -> Vector:
+        """Balls that hold every value of each."""
+        return ranges(values)
+
     def whole(self, jet: Jet) -> Jet:
         """The jet with balls that hold its coefficients for every e."""
         other = copy(jet)
@@ -205,34 +210,32 @@ class Bundle(Cloud):
         other.values = [ranges(series) for series in jet.values]
         return other
 
-    def flow(self, field: Field, jet: Jet, step: Tube, settings: TaylorSettings) -> np.ndarray:
-        """d(q, v)(h)/dz over the box for each e (d x d+2)."""
-        order, n, d = settings.order, field.size, field.dimension
-        other = copy(jet)
-        other.code = field.varied
-        known = [jet.states[entry + n * argument] if argument != 2 else [jet.unfolding, *[arb(0)] * order]
-                 for _, argument, entry in field.varied.variables]  # fmt: skip
-        other.values = coefficients(field.varied, order - 1, lambda k, _: [series[k] for series in known])
-        zero = [arb(0)] * order
-        slopes = other.results()[1]
-        lines = np.empty((order, n, d + 1), dtype=object)
+    def flow(
+        self, field: Field, jet: Jet, step: Tube, states: Sequence[Vector], constants: Vector, order: int
+    ) -> tuple[Any, Any] | None:
+        """d(q, v)(h)/dz for each e (d x d+2), and W on the way for every e."""
+        n, d, code, (unfolding, tau) = field.size, field.dimension, field.varied, constants
+        known = jet.arguments(code, states, unfolding, [arb(0)] * order)
+        values, zero = coefficients(code, order - 1, lambda k, _: [series[k] for series in known]), [arb(0)] * order
+        first, slopes = outputs(code, values)
+        rates, lines = rate_series(n, states, first, order), np.empty((order, n, d + 1), dtype=object)
         for i, j in np.ndindex(n, d + 1):
             lines[:, i, j] = slopes.get(i + n * j, zero)
         blocks = [table(block(identity(d + 2), d + 1, 0, d + 2))]
         last = np.full((1, d + 2), arb(0), dtype=object)
         for k in range(order):
             lower = sum(lines[j] @ blocks[k - j] for j in range(k + 1))
-            factor = jet.tau / (k + 1)
-            rows = np.vstack([blocks[k][n:d], lower]) * factor
-            rows[:, -1] += np.array([series[k + 1] / jet.tau for series in jet.states], dtype=object)
+            rows = np.vstack([blocks[k][n:d], lower]) * (tau / (k + 1))
+            rows[:, -1] += np.array([series[k] / (k + 1) for series in rates], dtype=object)
             blocks.append(np.vstack([rows, last]))
-        flat = self.whole(other)
-        over = [ranged(matrix) for matrix in blocks]
-        rest = transition_remainder(field, flat, step, over, slope_series(n, d, flat.results()[1], order), settings)
+        flat, over = [arb_poly(ranges(series[:order])) for series in values], [ranged(matrix) for matrix in blocks]
+        rest = transition_remainder(field, self.whole(jet), step, flat, over, *ranges([tau]))
+        if rest is None:
+            return None
         total = table(block(rest, d, 0, d + 2))
         for matrix in reversed(blocks):
             total = total * arb(step.h) + matrix[:d]
-        return np.asarray(total)
+        return np.asarray(total), block(horner([*over[1:], rest], up_to(arb(step.h))), d, 0, d + 2)
 
     def parted(self, image: Vector) -> tuple[Vector, Any]:
         """A new centre near an image of the old one, and what the image is off it for every e."""
@@ -261,4 +264,4 @@ def bundle(centre: Sequence[Any], start: Vector) -> Bundle:
     middle = np.empty((size, size + 2), dtype=object)
     middle.ravel()[:] = along(exact(np.eye(size, size + 2)).entries())
     about, turned, rest = thin[:size] + whole[size:], identity(size), arb_mat(size, size + 2)
-    return Bundle(about, identity(size), spread, middle, turned, rest, column(start))
+    return Bundle(about, identity(size), spread, middle, turned, rest, column(start), arb_mat(size, size + 2))

@@ -55,7 +55,7 @@ from orbitfinder.proof.krawczyk import (
     solve,
 )
 from orbitfinder.proof.program import Ring, bound, graphs
-from orbitfinder.proof.record import DIGITS, MARGIN, checked, close, enclosure, holds, in_digits
+from orbitfinder.proof.record import DIGITS, MARGIN, bounding, checked, enclosure, holds, in_digits
 from orbitfinder.proof.series import recurrence
 from orbitfinder.proof.theorem import (
     CENTRE,
@@ -660,7 +660,7 @@ def false_claims(record: BorderedRecord, fresh: BorderedRecord) -> list[str]:
     """Every claim of a recorded proof that the proof done again does not bear out."""
     if not fresh.proved:
         return [fresh.reason]
-    compared = {"proved": eq, "kind": eq, "side": eq, "contraction": close}
+    compared = {"proved": eq, "kind": eq, "side": eq, "contraction": bounding}
     compared |= dict.fromkeys(("value", "energy", "period", "state", "tangent"), holds)
     old, new = plain(record), plain(fresh)
     return [

@@ -55,7 +55,7 @@ from orbitfinder.proof.krawczyk import (
     residual,
     solve,
 )
-from orbitfinder.proof.record import DIGITS, MARGIN, close
+from orbitfinder.proof.record import DIGITS, MARGIN, bounding
 from orbitfinder.proof.theorem import (
     CENTRE,
     NotProved,
@@ -322,7 +322,7 @@ class _BranchProof:
         """A piece through orbits at Chebyshev's points between two energies, from unknowns near those at an e."""
         places = np.polynomial.chebyshev.chebpts1(DEGREE + 1)
         rows, middle, half = [], 0.5 * (low + high), 0.5 * (high - low)
-        inverse = linearised(replace(self.equations, energy=arb(middle)), near(0.0), ROUGH)[1]
+        inverse = linearised(replace(self.equations, energy=arb(middle)), near(0.0), ROUGH)
         for place in places.tolist():
             here = replace(self.equations, energy=arb(middle) + arb(half) * arb(place))
             rows.append([float(x) for x in solve(here, near(place), ROUGH, 1e-13, self.settings.farthest, inverse)[0]])
@@ -447,7 +447,7 @@ def contradictions(recorded: ProvedBranch, fresh: ProvedBranch) -> list[str]:
     wrong = [
         f"contraction from {old.low!r} J: recorded {old.contraction:.3g}, found {new.contraction:.3g}"
         for old, new in zip(recorded.pieces, fresh.pieces, strict=True)
-        if not close(old.contraction, new.contraction)
+        if not bounding(old.contraction, new.contraction)
     ]
     if len(recorded.passages) != len(fresh.passages):
         return [*wrong, f"events: {len(recorded.passages)} recorded, {len(fresh.passages)} can be tested"]

@@ -64,7 +64,7 @@ from orbitfinder.proof.krawczyk import (
     krawczyk,
     solve,
 )
-from orbitfinder.proof.record import DIGITS, MARGIN, checked, close, enclosure, holds, in_digits
+from orbitfinder.proof.record import DIGITS, MARGIN, bounding, checked, enclosure, holds, in_digits
 from orbitfinder.proof.theorem import CENTRE, NotProved, Options, Progress, enclosed, provable_system
 from orbitfinder.proof.trajectory import (
     Trajectory,
@@ -772,7 +772,7 @@ def unproved_claims(record: ConnectionRecord, fresh: ConnectionRecord) -> list[s
     if not fresh.proved:
         return [fresh.reason]
     old, new = plain(record), plain(fresh)
-    compared: dict[str, Any] = {"proved": eq, "homoclinic": eq, "contraction": close}
+    compared: dict[str, Any] = {"proved": eq, "homoclinic": eq, "contraction": bounding}
     compared |= dict.fromkeys(("state", "places", "durations"), holds)
     pairs = [(name, old[name], new[name], same) for name, same in compared.items()]
     pairs += [(f"{end}.{name}", old[end][name], new[end][name], holds)

@@ -10,8 +10,9 @@ J. D. Pryce, Reliable Computing 7 (2001) 449-465; in Taylor models: Makino and B
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import mul
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -23,6 +24,7 @@ from orbitfinder.proof.balls import (
     Vector,
     arb,
     arb_mat,
+    arb_poly,
     block,
     column,
     exact,
@@ -35,9 +37,9 @@ from orbitfinder.proof.balls import (
     radius,
     up_to,
 )
-from orbitfinder.proof.field import Field, Jet, slope_series
-from orbitfinder.proof.series import outputs
-from orbitfinder.proof.taylormodel import remainders, tails
+from orbitfinder.proof.field import Field, Jet, rate_series, slope_series, transition_series
+from orbitfinder.proof.series import listed, outputs, whole_series
+from orbitfinder.proof.taylormodel import Beyond, tails
 
 GRID = 2.0**-40
 """Steps are whole multiples of this part of a segment, so that their sums are exact"""
@@ -50,13 +52,19 @@ class TaylorSettings:
     """How the validated integrator works.
 
     `order` of the Taylor polynomial, Arb's `bits`, `tolerance` on the remainder of one step (rad,
-    rad/s) and the shortest step that is tried, as a part of the segment.
+    rad/s) and the shortest step that is tried, as a part of the segment; derivatives go to a `share` of the order.
     """
 
-    order: int = 20
+    order: int = 22
     bits: int = 106
-    tolerance: float = 1e-18
+    tolerance: float = 1e-17
     shortest: float = 1e-8
+    share: float = 0.85
+
+    @property
+    def varied(self) -> int:
+        """The order of the derivatives' series."""
+        return round(self.share * self.order)
 
 
 @dataclass(frozen=True)
@@ -123,10 +131,14 @@ def _rounded(h: float) -> float:
 
 def state_remainder(field: Field, jet: Jet, h: Any, order: int) -> Vector | None:
     """eta (d) of a step of length h, or None when Picard's operator maps no trial into itself."""
-    span = up_to(h)
+    n, span, factor = field.size, up_to(h), jet.tau / (order + 1)
+    beyond = Beyond(jet.code, [arb_poly(series[:order]) for series in jet.values], order, span)
     trial = [arb(0)] * field.dimension
     for _ in range(GUESSES):
-        image = _state_image(field, jet, span, trial, order)[0]
+        own = [series[order] + span * eta for series, eta in zip(jet.states, trial, strict=True)]
+        rest = beyond.remainders([x for (x,) in jet.arguments(jet.code, [[x] for x in own], arb(0), [])])
+        accelerations = outputs(jet.code, rest)[0]
+        image = [factor * x for x in own[n:]] + [factor * accelerations.get(i, arb(0)) for i in range(n)]
         if not all(x.is_finite() for x in image):
             return None
         if inside(trial, image):
@@ -135,39 +147,26 @@ def state_remainder(field: Field, jet: Jet, h: Any, order: int) -> Vector | None
     return None
 
 
-def _state_image(field: Field, jet: Jet, span: Any, trial: Vector, order: int) -> tuple[Vector, list[Any], Vector]:
-    """Picard's image of eta, the remainders of all values of the program, and the state's own (orders from p)."""
-    n = field.size
-    own = [series[order] + span * eta for series, eta in zip(jet.states, trial, strict=True)]
-    inputs = [arb(0) if argument == 2 else own[entry + n * argument] for _, argument, entry in jet.code.variables]
-    rest = remainders(jet.code, jet.values, order, span, inputs)
-    accelerations = outputs(jet.code, rest)[0]
-    factor = jet.tau / (order + 1)
-    image = [factor * x for x in own[n:]] + [factor * accelerations.get(i, arb(0)) for i in range(n)]  # q' = v first
-    return image, rest, own
-
-
 def transition_remainder(
-    field: Field, jet: Jet, step: Tube, blocks: list[Any], slopes: list[Any], settings: TaylorSettings
-) -> Any:
-    """The remainder H (d+1 x d+2) of the derivatives of (q, v, s) over a step.
+    field: Field, jet: Jet, step: Tube, values: Sequence[Any], blocks: Sequence[Any], tau: Any,
+    products: Mapping[int, Any] | None = None,
+) -> Any | None:  # fmt: skip
+    """The remainder H (d+1 x d+2) of the derivatives of (q, v, s) over a step, None where no trial holds its image.
 
-    `jet` has the Jacobian's values, `blocks` are the coefficients 0..p, `slopes` those of d(a + s u)/d(q, v, s)
-    below p.
+    `values` are the polynomials (below p) of the Jacobian's program, `blocks` the derivatives' coefficients 0..p.
     """
-    order, n, d, span = settings.order, field.size, field.dimension, up_to(arb(step.h))
-    _, rest, state = _state_image(field, jet, span, step.remainder, order)
-    values, width, factor = outputs(jet.code, rest), d + 2, jet.tau / (order + 1)
-    slopes = [*slopes, slope_series(n, d, {k: [x] for k, x in values[1].items()}, 1)[0]]
-    forcing = state[n:] + [values[0].get(i, arb(0)) for i in range(n)]  # remainders of the field, its derivative by tau
+    order, n, d, span, code = len(blocks) - 1, field.size, field.dimension, up_to(arb(step.h)), field.varied
+    tail = [horner([*series[order:], rest], span) for series, rest in zip(jet.states, step.remainder, strict=True)]
+    given = [x for (x,) in jet.arguments(code, [[x] for x in tail], arb(0), [])]
+    rates, beyond = outputs(code, Beyond(code, values, order, span, products).remainders(given))
+    slopes = slope_series(n, d, {k: listed(x, order - 1) for k, x in outputs(code, values)[1].items()}, order)
+    slopes += slope_series(n, d, {k: [x] for k, x in beyond.items()}, 1)
+    width, factor, forcing = d + 2, tau / (order + 1), [*tail[n:], *(rates.get(i, arb(0)) for i in range(n))]
 
     def image(trial: Any) -> Vector:
         """The rows of (q, v) of Picard's image."""
         own = blocks[order] + trial * span
-        beyond = tails(blocks[:order], own, span)
-        lower = slopes[0] * beyond[0]
-        for slope, tail in zip(slopes[1:], beyond[1:], strict=True):
-            lower += slope * tail
+        lower = sum(map(mul, slopes, tails(blocks[:order], own, span)), arb_mat(n, width))
         rows = [factor * x for x in own.entries()[n * width : d * width]] + [factor * x for x in lower.entries()]
         for i, x in enumerate(forcing):
             rows[i * width + width - 1] += x / (order + 1)
@@ -179,9 +178,7 @@ def transition_remainder(
         if inside(trial.entries()[:-width], rows):
             return trial
         trial = arb_mat(d + 1, width, _widened(rows) + [arb(0)] * width)
-    raise IntegrationError(
-        "the derivatives over a step could not be enclosed; raise the order", time=step.begin * float(jet.tau.mid())
-    )
+    return None
 
 
 def _widened(balls: Vector) -> Vector:
@@ -203,7 +200,8 @@ class Cloud:
 
     `centre` (d + 2, exact) with `spread` (d) in `frame` (d square) encloses the solution from the
     box's centre; `middle` + `turned` `rest` encloses the derivatives (d x d+2) with respect to the
-    initial z at every point of the box; `start` (d + 2) is the box about its centre.
+    initial z at every point of the box; `start` (d + 2) is the box about its centre, `pull` (d x d+2) the
+    mean rates of the derivatives over the last step, by which those over the next one are guessed.
     """
 
     centre: Vector
@@ -213,6 +211,7 @@ class Cloud:
     turned: Any
     rest: Any
     start: Any
+    pull: Any
 
     @property
     def point(self) -> Vector:
@@ -238,37 +237,81 @@ class Cloud:
 
     def advanced(self, field: Field, begin: float, trial: float, settings: TaylorSettings) -> tuple[Self, Tube, float]:
         """The same after one validated step, the step, and the length to try next."""
-        solutions = field.solution(self.hull, settings.order)
-        step, following = find_step(field, self.whole(solutions), begin, trial, settings)
-        flow, size = self.flow(field, solutions, step, settings), self.frame.nrows()
-        centre, error = self.parted(valued(field.states(self.centre, settings.order), step.remainder, arb(step.h)))
+        jet, size = field.solution(self.centre, settings.order), self.frame.nrows()
+        while True:
+            step, following = find_step(field, self.whole(jet), begin, trial, settings)
+            if (swept := self.swept(field, jet, step, settings)) is not None:
+                break
+            trial = 0.5 * step.h
+            if trial < settings.shortest:
+                time = begin * float(self.whole(jet).tau.mid())
+                raise IntegrationError("the derivatives over a step could not be enclosed; raise the order", time=time)
+        step, flow, pull = swept
+        centre, error = self.parted(valued(jet.states, step.remainder, arb(step.h)))
         (middle, off), matrix = self.image(flow), self.matrix(flow)
-        stretched, swept = matrix * self.frame, matrix * self.turned
+        stretched, carried = matrix * self.frame, matrix * self.turned
         frame, turned = (
             orthogonal(stretched, radii(self.spread).ravel()),
-            orthogonal(swept, radii(self.rest).max(axis=1)),
+            orthogonal(carried, radii(self.rest).max(axis=1)),
         )
         back, home = frame.inv(), turned.inv()
         after = replace(
             self, centre=centre + self.centre[size:], frame=frame,
             spread=(back * stretched) * self.spread + back * error, middle=middle, turned=turned,
-            rest=(home * swept) * self.rest + home * off,
+            rest=(home * carried) * self.rest + home * off, pull=pull,
         )  # fmt: skip
         return after, step, following
+
+    def swept(self, field: Field, jet: Jet, step: Tube, settings: TaylorSettings) -> tuple[Tube, Any, Any] | None:
+        """The step of all solutions from that of the centre's; V(h) = dz(h)/dz over the box, and W on the way to it.
+        None where the step is too long for that.
+
+        With V(t) = 1 + t W(t) the derivatives of solutions between the two, another leaves the centre's by
+        V(t) (z - centre). Where all that go no faster than `near` have W (z - centre) inside it, none goes faster.
+        """
+        d = field.dimension
+        about = (self.frame * self.spread + self.slopes * self.start).entries() + self.start.entries()[d:]
+        box = column([x.union(0) for x in about])
+        near = _widened((self.pull * box).entries())
+        first, constants = box.entries()[:d], [c + x for c, x in zip(jet.z[d:], box.entries()[d:], strict=True)]
+        for _ in range(GUESSES):
+            over = [[a + x, b + y, *c] for (a, b, *c), x, y in zip(jet.states, first, near, strict=True)]
+            try:
+                flow = self.flow(field, jet, step, over, constants, settings.varied)
+            except (ValueError, ZeroDivisionError):  # Arb's of a quotient
+                return None
+            if flow is None:
+                return None
+            moved = (flow[1] * box).entries()
+            if inside(near, moved):
+                return replace(step, series=[self.ranged(x) for x in over], constants=self.ranged(constants)), *flow
+            near = _widened(moved)
+        return None
+
+    def ranged(self, values: Vector) -> Vector:
+        """Balls that hold every value of each."""
+        return values
 
     def whole(self, jet: Jet) -> Jet:
         """The jet, its coefficients in balls."""
         return jet
 
-    def flow(self, field: Field, jet: Jet, step: Tube, settings: TaylorSettings) -> Any:
-        """dz(h)/dz over the starting box (d+2 square), by the same argument for the variational equations."""
-        order, n, d = settings.order, field.size, field.dimension
-        jet = jet.varied(field.varied)
-        series = jet.transitions()
-        blocks = [block(matrix, d + 1, 0, d + 2) for matrix in series]
-        rest = transition_remainder(field, jet, step, blocks, slope_series(n, d, jet.results()[1], order), settings)
-        last = arb_mat(d + 2, d + 2, rest.entries() + [arb(0)] * (d + 2))
-        return horner([*series, last], arb(step.h))
+    def flow(
+        self, field: Field, jet: Jet, step: Tube, states: Sequence[Vector], constants: Vector, order: int
+    ) -> tuple[Any, Any] | None:
+        """V(h) = dz(h)/dz (d+1 x d+2, with the row of s) along all solutions in `states` with such s and tau, and W
+        (d x d+2) for 0 <= t <= h, by the same argument for the variational equations to an `order` of their own."""
+        n, d, code, (unfolding, tau) = field.size, field.dimension, field.varied, constants
+        values, products = whole_series(code, order - 1, jet.arguments(code, states, unfolding, []))
+        rates, slopes = (
+            {k: listed(x, order - 1) for k, x in result.items()} for result in outputs(code, values)
+        )  # fmt: skip
+        blocks = transition_series(n, tau, rate_series(n, states, rates, order), slope_series(n, d, slopes, order))
+        rest = transition_remainder(field, jet, step, values, blocks, tau, products)
+        if rest is None:
+            return None
+        series = [*blocks, rest]
+        return horner(series, arb(step.h)), block(horner(series[1:], up_to(arb(step.h))), d, 0, d + 2)
 
     def parted(self, image: Vector) -> tuple[Vector, Any]:
         """A new centre near an image of the old one, and what the image is off it."""
@@ -299,6 +342,7 @@ def cloud(box: Sequence[Any], point: Sequence[Any] | None = None) -> Cloud:
         turned=identity(size),
         rest=arb_mat(size, size + 2),
         start=column([x - c for x, c in zip(box, about, strict=True)]),
+        pull=arb_mat(size, size + 2),
     )
 
 

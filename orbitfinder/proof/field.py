@@ -13,7 +13,6 @@ M a + h = J^T lambda and J a + Jdot v = 0 give, without stabilisation: phi = 0 a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,10 +23,10 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.factorise import LinearBalances, solve_positive_definite, written_out
 from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal, dense, exact, fmpq, identity
+from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal, dense, exact, fmpq
 from orbitfinder.proof.invariance import Multiple, drive
 from orbitfinder.proof.program import ScalarProgram, derived, program
-from orbitfinder.proof.series import BALLS, Recurrence, coefficients, outputs, recurrence, whole_series
+from orbitfinder.proof.series import BALLS, Recurrence, coefficients, listed, outputs, recurrence, whole_series
 
 NUMERICAL = (
     "system: its equations are solved numerically inside the graph (many coordinates, linkages), "
@@ -242,10 +241,9 @@ class Field:
         """Series of (q, v) (d lists of order + 1 balls) of the solution through z (d + 2)."""
         return self.solution(z, order).states
 
-    def solution(self, z: Sequence[Any], order: int, vary: bool = False) -> Jet:
-        """The series through z with those of the program's values, of the Jacobian's too when asked for."""
-        plain = Jet(self, z, order)
-        return plain.varied(self.varied) if vary else plain
+    def solution(self, z: Sequence[Any], order: int) -> Jet:
+        """The series through z with those of the program's values."""
+        return Jet(self, z, order)
 
     def rates(self, z: Sequence[Any]) -> Vector:
         """The field at z: z' (d + 2)."""
@@ -326,22 +324,32 @@ class Jet:
         first = self.results()[0]
         self._grow(order, [first.get(i, [arb(0)] * order) for i in range(n)])
 
-    def varied(self, code: Recurrence) -> Jet:
-        """The same with the values of the program that has the Jacobian too."""
-        zero = [arb(0)] * (self.order - 1)
-        known = [[self.unfolding, *zero] if argument == 2 else self.states[entry + self.n * argument]
-                 for _, argument, entry in code.variables]  # fmt: skip
-        other = copy(self)
-        other.code, other.values = code, whole_series(code, self.order - 1, known)
-        return other
-
     def results(self) -> list[dict[int, Vector]]:
         """Series of the program's results (0..order - 1)."""
         return outputs(self.code, self.values)
 
-    def transitions(self) -> list[Any]:
-        """Series (order + 1 matrices, d+2 square) of dz(t)/dz; the program must be the Jacobian's."""
-        return transition_series(self.n, self.z, self.states, self.results())
+    def arguments(self, code: Recurrence, states: Sequence[Sequence[Any]], unfolding: Any, zero: Any) -> list[Any]:
+        """What `code.variables` are where the state is `states`, `zero` what s has beyond its constant."""
+        return [
+            [unfolding, *zero] if argument == 2 else states[entry + self.n * argument]
+            for _, argument, entry in code.variables
+        ]
+
+    def transitions(self, code: Recurrence) -> list[Any]:
+        """Series (order + 1 matrices, d+2 square) of dz(t)/dz by the Jacobian's program."""
+        n, d, order, size = self.n, len(self.states), self.order, len(self.states) + 2
+        given = self.arguments(code, self.states, self.unfolding, [])
+        values, slopes = (
+            {k: listed(x, order - 1) for k, x in result.items()}
+            for result in outputs(code, whole_series(code, order - 1, given)[0])
+        )
+        rates = rate_series(n, self.states, values, order)
+        blocks = transition_series(n, self.tau, rates, slope_series(n, d, slopes, order))
+        last = [arb(0)] * (size - 1) + [arb(1)]
+        return [
+            arb_mat(size, size, matrix.entries() + (last if k == 0 else [arb(0)] * size))
+            for k, matrix in enumerate(blocks)
+        ]
 
     def _variables(self, k: int, accelerations: list[Vector]) -> Vector:
         if k:
@@ -363,20 +371,27 @@ class Jet:
         return self.states[entry + self.n * argument][k]
 
 
-def transition_series(n: int, z: Sequence[Any], states: list[Vector], results: list[dict[int, Vector]]) -> list[Any]:
-    """Coefficients of dz(t)/dz from the series of the accelerations and of their Jacobian.
+def rate_series(n: int, states: Sequence[Vector], accelerations: Mapping[int, Vector], order: int) -> list[Vector]:
+    """Series of the field (d lists of `order`): of the velocities those of the state."""
+    zero = [arb(0)] * order
+    return [*(series[:order] for series in states[n:]), *(accelerations.get(i, zero) for i in range(n))]
 
-    V' = tau (A V) + f e_tau^T with A = d(v, a)/d(q, v, s), V(0) = 1; rows of s and tau stay unit rows.
+
+def transition_series(n: int, tau: Any, rates: Sequence[Vector], slopes: Sequence[Any]) -> list[Any]:
+    """Coefficients (d+1 x d+2, the last row that of s) of dz(t)/dz from those of the field and of its Jacobian.
+
+    V' = tau (A V) + f e_tau^T with A = d(v, a)/d(q, v, s), V(0) = 1.
     """
-    d, order, tau = len(states), len(states[0]) - 1, z[-1]
-    size, slopes = d + 2, slope_series(n, d, results[1], order)
-    blocks, series = [exact(np.eye(d + 1, size))], [identity(size)]
-    for k in range(order):
+    d = len(rates)
+    size, blocks = d + 2, [exact(np.eye(d + 1, d + 2))]
+    for k in range(len(slopes)):
         lower = sum((slopes[j] * blocks[k - j] for j in range(1, k + 1)), slopes[0] * blocks[k])
-        rows = _next_rows(n, k, tau, lower, blocks[k], [component[k + 1] for component in states])
+        factor, upper = tau / (k + 1), blocks[k].entries()[n * size : d * size]
+        rows = [factor * x for x in upper] + [factor * x for x in lower.entries()]
+        for i in range(d):
+            rows[i * size + size - 1] += rates[i][k] / (k + 1)
         blocks.append(arb_mat(d + 1, size, rows + [arb(0)] * size))
-        series.append(arb_mat(size, size, rows + [arb(0)] * (2 * size)))
-    return series
+    return blocks
 
 
 def slope_series(n: int, d: int, jacobian: dict[int, Vector], order: int) -> list[Any]:
@@ -384,16 +399,3 @@ def slope_series(n: int, d: int, jacobian: dict[int, Vector], order: int) -> lis
     zero = [arb(0)] * order
     columns = [jacobian.get(i + n * j, zero) for i in range(n) for j in range(d + 1)]
     return [arb_mat(n, d + 1, [slope[k] for slope in columns]) for k in range(order)]
-
-
-def _next_rows(n: int, k: int, tau: Any, lower: Any, block: Any, step: Vector) -> Vector:
-    """Rows of (q, v) of coefficient k + 1, with d/dtau of tau f = f added in the last column.
-
-    `step` are the coefficients k + 1 of the state, (tau f)_k / (k + 1).
-    """
-    d, factor = len(step), tau / (k + 1)
-    size, upper = d + 2, block.entries()[n * (d + 2) : d * (d + 2)]
-    rows = [factor * x for x in upper] + [factor * x for x in lower.entries()]
-    for i in range(d):
-        rows[i * size + size - 1] += step[i] / tau
-    return rows

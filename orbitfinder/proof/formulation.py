@@ -237,9 +237,9 @@ def approach(
 
 
 def default_segments(orbit: Orbit, symmetry: Symmetry) -> int:
-    """At least two, and so many that none stretches by much more than 30 times."""
+    """At least four, and so many that none stretches by much more than 30 times."""
     largest = float(np.abs(orbit.floquet_multipliers).max(initial=1.0))
-    return 2 + int(np.log(max(largest, 1.0)) / np.log(30.0) / symmetry.parts)
+    return 4 + int(np.log(max(largest, 1.0)) / np.log(30.0) / symmetry.parts)
 
 
 def symmetric_instant(

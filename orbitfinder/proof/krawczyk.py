@@ -137,13 +137,20 @@ def krawczyk(equations: TheoremEquations, box: Vector, settings: TaylorSettings)
 
 
 def contracted(values: Sequence[Any], slopes: Any, box: Vector) -> tuple[Vector, float]:
-    """K(X) and the norm of 1 - C DF(X), from F at the centre and DF over the box."""
+    """K(X) and the norm of 1 - C DF(X), from F at the centre and DF over the box.
+
+    Where K(X) lies inside X, so does its image by the same C and DF(X), which holds the zero too: that is returned.
+    """
     centre = midpoints(box)
     inverse = exact(approximate_inverse(floats(slopes)))
     defect = exact(np.eye(len(centre))) - inverse * slopes
-    moved = inverse * column(values)
-    spread = defect * column([x - m for x, m in zip(box, centre, strict=True)])
-    return [m - f + e for m, f, e in zip(centre, moved.entries(), spread.entries(), strict=True)], norm(defect)
+    fixed = column(centre) - inverse * column(values)
+
+    def image(of: Vector) -> Vector:
+        return list((fixed + defect * (column(of) - column(centre))).entries())
+
+    first = image(box)
+    return image(image(first)) if inside(box, first) else first, norm(defect)
 
 
 def approximate_inverse(matrix: np.ndarray) -> np.ndarray:
@@ -172,6 +179,8 @@ def norm(matrix: Any) -> float:
 MOST_ITERATIONS = 30
 ROUGH = 1e-5
 """Corrections above this make a new Jacobian worth while"""
+SLOPES = TaylorSettings(order=10, tolerance=1e-6)
+"""Of the Jacobian, on which it depends how many digits an iteration gains"""
 
 
 def step_length(series: list[Vector], left: float, settings: TaylorSettings) -> float:
@@ -189,23 +198,21 @@ def flow(equations: TheoremEquations, node: Vector, settings: TaylorSettings, va
     here, begin = midpoints(node), 0.0
     total = exact(np.eye(size + 2))
     while begin < 1.0:
-        solution = field.solution(here, settings.order, vary)
+        solution = field.solution(here, settings.order)
         h = step_length(solution.states, 1.0 - begin, settings)
         if not 0 < h <= 1:
             raise ConvergenceError("no orbit near: the solution leaves every bound on the way")
         here = midpoints([horner(component, arb(h)) for component in solution.states]) + here[size:]
         if vary:
-            total = (horner(solution.transitions(), arb(h)) * total).mid()
+            total = (horner(solution.transitions(field.varied), arb(h)) * total).mid()
         begin += h
     return here[:size], block(total, size, 0, size + 2)
 
 
-def linearised(equations: TheoremEquations, unknowns: Vector, settings: TaylorSettings) -> tuple[Vector, np.ndarray]:
-    """F and an approximate inverse of DF at a point."""
-    flows = [flow(equations, node, settings, vary=True) for node in equations.formulation.nodes(unknowns)]
-    values = residual(equations, unknowns, [end for end, _ in flows])
-    slopes = floats(jacobian(equations, unknowns, [matrix for _, matrix in flows]))
-    return midpoints(values), approximate_inverse(slopes)
+def linearised(equations: TheoremEquations, unknowns: Vector, settings: TaylorSettings) -> np.ndarray:
+    """An approximate inverse of DF at a point."""
+    flows = [flow(equations, node, settings, vary=True)[1] for node in equations.formulation.nodes(unknowns)]
+    return approximate_inverse(floats(jacobian(equations, unknowns, flows)))
 
 
 def evaluated(equations: TheoremEquations, unknowns: Vector, settings: TaylorSettings) -> Vector:
@@ -228,9 +235,8 @@ def solve(
     inverse = np.zeros((0, 0)) if known is None else known
     for k in range(MOST_ITERATIONS):
         if not inverse.size or (k and last > ROUGH):
-            values, inverse = linearised(equations, here, settings)
-        else:
-            values = evaluated(equations, here, settings)
+            inverse = linearised(equations, here, SLOPES)
+        values = evaluated(equations, here, settings)
         correction = (exact(inverse) * arb_mat(len(values), 1, values)).entries()
         size = magnitude(midpoints(correction))
         here = midpoints([x - c for x, c in zip(here, correction, strict=True)])

@@ -157,7 +157,7 @@ def checked(options: Options) -> Options:
         if not low <= value <= high:
             raise InputError(f"{name}: must be from {low} to {high}, got {value}; the default is fine for most orbits")
     if not 1e-40 <= options.tolerance < 1e-6:
-        raise InputError(f"tolerance: must be from 1e-40 to 1e-6, got {options.tolerance}; the default is 1e-18")
+        raise InputError(f"tolerance: must be from 1e-40 to 1e-6, got {options.tolerance}; the default is 1e-17")
     return options
 
 
@@ -189,9 +189,14 @@ def contradictions(recorded: Mapping[str, Any], fresh: Mapping[str, Any]) -> dic
     }  # fmt: skip
 
 
-def close(recorded: Any, fresh: float) -> bool:
-    """True for a number that another machine's round-off could have made of it: within a factor of 2."""
-    return isinstance(recorded, (int, float)) and 0.5 * fresh <= recorded <= 2 * fresh
+def close(recorded: Any, fresh: float, factor: float = 2.0) -> bool:
+    """True for a number that another machine's round-off, or integrator, could have made of it: within a factor."""
+    return isinstance(recorded, (int, float)) and fresh / factor <= recorded <= factor * fresh
+
+
+def bounding(recorded: Any, fresh: float) -> bool:
+    """True for a contraction not below what is found, but for round-off; a wider one is true as well."""
+    return isinstance(recorded, (int, float)) and 0.5 * fresh <= recorded < 1
 
 
 def _wider(recorded: Any, fresh: float) -> bool:
@@ -207,7 +212,7 @@ def at_least(recorded: Any, fresh: float) -> bool:
 def _minimal(recorded: Any, fresh: Mapping[str, Any]) -> bool:
     """True when the period was recorded as minimal, proved against about as many divisors."""
     name = "divisors_excluded_up_to"
-    return recorded.get("proved") is True and close(recorded.get(name), fresh[name])
+    return recorded.get("proved") is True and close(recorded.get(name), fresh[name], 4.0)
 
 
 def _same_words(recorded: Any, fresh: str) -> bool:
@@ -246,7 +251,8 @@ COMPARED: dict[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("proved", "reason", "symmetry", "segments", "stability"), operator.eq),
     **dict.fromkeys(("period", "energy", "state", "nodes", "unfolding"), holds),
     "multipliers": holds_each,
-    **dict.fromkeys(("contraction", "steps"), close),
+    "contraction": bounding,
+    "steps": partial(close, factor=2.5),
     **dict.fromkeys(("distance", "period_distance", "enclosure_radius"), _wider),
     "box_radius": at_least,
     "phase": lambda recorded, fresh: (

@@ -13,7 +13,7 @@ from itertools import islice
 from operator import mul
 from typing import Any
 
-from orbitfinder.proof.balls import arb, arb_series, truncated
+from orbitfinder.proof.balls import arb, arb_poly, arb_series, truncated
 from orbitfinder.proof.program import Ring, ScalarProgram
 
 BALLS = Ring(
@@ -32,6 +32,8 @@ WHOLE: dict[str, Callable[..., Any]] = BALLS.functions | {
 
 A quotient without terms stays so: python-flint before 0.9 raises AttributeError there.
 """
+POLYNOMIAL = {"add", "sub", "neg", "scale", "shift"}
+"""Those that leave polynomials what they are"""
 Operation = tuple[str, int, int, int, Any]
 """kind, target, operand, second operand (or -1), constant (or None)"""
 
@@ -187,32 +189,42 @@ def coefficients(
     return values
 
 
-def whole_series(code: Recurrence, order: int, variables: Sequence[Sequence[Any]]) -> list[list[Any]]:
-    """The same as `coefficients` where the series of `code.variables` are known beforehand, and faster.
+def whole_series(code: Recurrence, order: int, variables: Sequence[Sequence[Any]]) -> tuple[list[Any], dict[int, Any]]:
+    """The same as `coefficients` as Arb's polynomials, the series of `code.variables` known beforehand, and faster;
+    and the products with all their terms, those beyond the order too.
 
-    Arb multiplies whole truncated series several times faster than Python does their terms.
+    Arb multiplies whole series several times faster than Python does their terms.
     """
-    values: list[Any] = [None] * code.size
-    with truncated(order + 1):
-        for value, ball in code.fixed.items():
-            values[value] = arb_series([ball])
-        for (value, _, _), series in zip(code.variables, variables, strict=True):
-            values[value] = arb_series(list(series[: order + 1]))
+    values, products, length = [arb_poly([])] * code.size, dict[int, Any](), order + 1
+    for value, ball in code.fixed.items():
+        values[value] = arb_poly([ball])
+    for (value, _, _), series in zip(code.variables, variables, strict=True):
+        values[value] = arb_poly(list(series[:length]))
+    with truncated(length):
         for name, target, a, b, constant in code.operations:
-            if name == "sincos":
-                values[target], values[b] = values[a].sin_cos()
-            else:
+            if name in ("mul", "sq"):
+                products[target] = values[a] * values[b if b >= 0 else a]
+                values[target] = products[target].truncate(length)
+            elif name in POLYNOMIAL:
                 values[target] = WHOLE[name](*operands(values, a, b, constant))
-        return [[] if ball is None else _padded(ball.coeffs(), order) for ball in values]
+            elif name == "sincos":
+                values[target], values[b] = (arb_poly(each.coeffs()) for each in arb_series(values[a]).sin_cos())
+            else:
+                given = [arb_series(values[each]) for each in (a, b) if each >= 0]
+                made = WHOLE[name](*given, *([] if constant is None else [constant]))
+                values[target] = arb_poly(made.coeffs())
+    return values, products
+
+
+def listed(polynomial: Any, order: int) -> list[Any]:
+    """The coefficients 0..order of a polynomial."""
+    series = polynomial.coeffs()
+    return list(series + [arb(0)] * (order + 1 - len(series)))
 
 
 def operands(values: Sequence[Any], a: int, b: int, constant: Any) -> list[Any]:
     """What an operation acts on: one value or two, or one and a constant."""
     return [values[a], *([values[b]] if b >= 0 else []), *([] if constant is None else [constant])]
-
-
-def _padded(series: list[Any], order: int) -> list[Any]:
-    return series + [arb(0)] * (order + 1 - len(series))
 
 
 def outputs(code: Recurrence, values: Sequence[Any]) -> list[dict[int, Any]]:

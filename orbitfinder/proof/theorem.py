@@ -207,24 +207,29 @@ def _prove(
     start = closing(model, codes, approach(model, orbit, symmetry, *given))
     check_graph(codes, start.formulation, model)
     equations = make_equations(model, codes, start, level(orbit, codes))
-    centre, rounds = solve(equations, unknowns_at(start), options, CENTRE)
+    centre, rounds = solve(equations, unknowns_at(start), options, 1e-10)  # what is left of it is far less
     pieces = plural(start.formulation.segments, "segment")
     say(f"Newton settled in {plural(rounds, 'iteration')}; integrating {pieces} of a box")
     contracted = enclosed(lambda box: krawczyk(equations, box, options), centre, say)
-    path, rounds = trajectory(equations, contracted.image, options), 0
+    path, rounds = horizon(equations, contracted.image, contracted.arcs), 0
+    coarse = replace(options, tolerance=max(options.tolerance, 1e-13), share=0.9)  # for the multipliers
     while True:
-        if verdict(path).verdict != "open" or rounds >= SHARPENINGS:
-            proof = Proof(
-                True, "", symmetry.name, options, 0.0, steps=sum(len(arc[3]) for arc in contracted.arcs),
-                radius=radius(contracted.box), contraction=contracted.contraction, energy=equations.energy,
-                **conclusions(orbit, model, path, start, options),
-            )  # fmt: skip
-            if rounds >= 2 * SHARPENINGS or enough(proof):
-                return proof
-        rounds += 1
+        if verdict(path).verdict != "open" or rounds > SHARPENINGS:
+            try:
+                proof = Proof(
+                    True, "", symmetry.name, options, 0.0, steps=sum(len(arc[3]) for arc in contracted.arcs),
+                    radius=radius(contracted.box), contraction=contracted.contraction, energy=equations.energy,
+                    **conclusions(orbit, model, path, start, options),
+                )  # fmt: skip
+                if rounds > 2 * SHARPENINGS or enough(proof):
+                    return proof
+            except NotProved:
+                if rounds:
+                    raise
         say(f"multipliers or recorded balls open in a box of radius {radius(path.box):.1g}; once more in a smaller one")
         with precision(options.bits + 32 * rounds):
-            path = trajectory(equations, path.box, finer(options, rounds))
+            path = trajectory(equations, path.box, finer(options, rounds) if rounds else coarse)
+        rounds += 1
 
 
 def finer(options: Options, rounds: int) -> Options:

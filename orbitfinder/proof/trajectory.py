@@ -88,7 +88,12 @@ def monodromy(path: Trajectory) -> Any:
 
 def positive_mass(path: Trajectory) -> bool:
     """True when the mass matrix is positive definite at every state on the way (L D L^T of its enclosures)."""
-    return all(positive_definite(path.field.mass(step.reach)) for steps in path.steps for step in steps)
+
+    def positive(step: Tube, pieces: int) -> bool:
+        parts = (step.at(between(*(arb(step.h) * j / pieces for j in (k, k + 1)))) for k in range(pieces))
+        return all(positive_definite(path.field.mass(part + step.constants)) for part in parts)
+
+    return all(positive(step, 1) or positive(step, PIECES) for steps in path.steps for step in steps)
 
 
 def positive_definite(matrix: Any) -> bool:
