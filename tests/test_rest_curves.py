@@ -326,11 +326,11 @@ def test_labels_do_not_overlap(known):
     figure = two_parameters([known[2], known[1]])
     figure.draw_without_rendering()
     names = [text for text in figure.axes[0].texts if text.get_text()]
-    assert sorted(name.get_text() for name in names) == ["Bogdanov-Takens"] * 2 + ["cusp", "generalised hopf"]
+    assert sorted(name.get_text() for name in names) == ["Bogdanov-Takens"] * 2 + ["cusp", "generalised Hopf"]
     boxes = [name.get_window_extent() for name in names]
     assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
     words = {text.get_text() for text in figure.legends[0].get_texts()}
-    assert words == {"fold", "hopf", "neutral saddle", "Bogdanov-Takens", "cusp", "generalised hopf"}
+    assert words == {"fold", "Hopf", "neutral saddle", "Bogdanov-Takens", "cusp", "generalised Hopf"}
 
 
 @pytest.mark.parametrize("change, message", [

@@ -75,7 +75,7 @@ def _cells(corners: np.ndarray, cells: int) -> np.ndarray:
 
 
 def joined(solids: Sequence[Solid]) -> Solid:
-    """Several as a single one."""
+    """Several as a single solid."""
     before = np.cumsum([0, *(len(corners) for corners, _ in solids)])
     faces = [triangles + start for (_, triangles), start in zip(solids, before[:-1], strict=True)]
     return np.vstack([corners for corners, _ in solids]), np.vstack(faces)
@@ -194,7 +194,7 @@ def _geometry(node: ElementTree.Element, known: Mapping[str | None, ElementTree.
 
 
 def reduced(solid: Solid, most: int) -> Solid:
-    """A solid of at most so many triangles: corners in the same cell of a grid become a single one, where the planes of
+    """A solid of at most so many triangles: corners in the same cell of a grid are merged where the planes of
     their triangles meet best. Source: P. Lindstrom, SIGGRAPH 2000, 259-262."""
     corners, faces = solid
     if len(faces) <= most:

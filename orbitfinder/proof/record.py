@@ -195,7 +195,7 @@ def close(recorded: Any, fresh: float, factor: float = 2.0) -> bool:
 
 
 def bounding(recorded: Any, fresh: float) -> bool:
-    """True for a contraction not below what is found, but for round-off; a wider one is true as well."""
+    """True for a contraction not below what is found, but for round-off; a wider bound is true as well."""
     return isinstance(recorded, (int, float)) and 0.5 * fresh <= recorded < 1
 
 
