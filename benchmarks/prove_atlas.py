@@ -40,7 +40,7 @@ from orbitfinder.proof.connections import CODEC as PROVED_CONNECTION
 from orbitfinder.proof.connections import prove_connection, read_connection_proof
 from orbitfinder.proof.equilibria import CODEC, prove_equilibria
 from orbitfinder.proof.record import entry
-from orbitfinder.proof.theorem import Options, prove
+from orbitfinder.proof.theorem import prove
 from orbitfinder.records.family import Family, load_family
 from orbitfinder.records.orbit import orbit_from_document, orbit_to_document
 from orbitfinder.records.reading import write_atomically
@@ -91,8 +91,7 @@ def prove_events(folder: Path) -> dict[str, str]:
     failures = {}
     for family, numbers in event_families():
         for number in numbers:
-            name, options = f"{family.name}-{number}", Options(order=24, tolerance=1e-19)  # for more digits
-            proof = prove_event(family, number, options=options)
+            name, proof = f"{family.name}-{number}", prove_event(family, number)
             print(f"{name}: {proof.words[0][1] if proof.proved else proof.reason}", file=sys.stderr, flush=True)
             if proof.proved:
                 events.save(proof, folder / f"{name}.json")

@@ -156,7 +156,7 @@ def symmetry_option(what: str) -> Decorator:
 @option("segments", "Shooting segments; default: by the largest multiplier.", kind=int)
 @option("order", "Order of the Taylor series.  [default: 22]", kind=int)
 @option("bits", "Precision of the ball arithmetic.  [default: 106]", kind=int)
-@option("tolerance", "Remainder allowed in one step.  [default: 1e-17]", kind=FINITE)
+@option("tolerance", "Remainder allowed in one step.  [default: 1e-17, of events 1e-19]", kind=FINITE)
 @option("record/--no-record", "Write the proof into the ORBIT.json.", True)
 @option("from low", "Of a FAMILY.json: prove it from this energy (J) ...", kind=FINITE)
 @option("to high", "... to this one, and its events in between.", kind=FINITE)
@@ -202,7 +202,8 @@ def prove(
     from orbitfinder.proof.record import checked
     from orbitfinder.proof.theorem import Options
 
-    options, results = checked(Options(**{k: v for k, v in given.items() if v is not None})), []
+    usually = {} if number is None else {"order": 24, "tolerance": 1e-19}
+    options, results = checked(Options(**usually | {k: v for k, v in given.items() if v is not None})), []
     if number is not None:
         _prove_event(files, number, options, record, trust)
         return

@@ -566,7 +566,8 @@ def prove_event(
     progress: Progress | None = None,
 ) -> BorderedRecord:  # fmt: skip
     """The proof of an event of a family (counted from 0), or the reason why there is none. Raises `InputError`."""
-    began, say, options = time.perf_counter(), progress or (lambda line: None), options or Options()
+    began, say = time.perf_counter(), progress or (lambda line: None)
+    options = options or Options(order=24, tolerance=1e-19)  # an event is asked for to many digits
     if not 0 <= number < len(family.events):
         raise InputError(f"--event: the family has {plural(len(family.events), 'event')}, counted from 0, got {number}")
     event = family.events[number]

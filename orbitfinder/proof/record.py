@@ -210,9 +210,11 @@ def at_least(recorded: Any, fresh: float) -> bool:
 
 
 def _minimal(recorded: Any, fresh: Mapping[str, Any]) -> bool:
-    """True when the period was recorded as minimal, proved against about as many divisors."""
-    name = "divisors_excluded_up_to"
-    return recorded.get("proved") is True and close(recorded.get(name), fresh[name], 4.0)
+    """True when the period was recorded as minimal, proved against no more divisors than now, but for round-off: those
+    up to fewer are excluded as well. Longer steps leave more of them to be looked at."""
+    divisors = recorded.get("divisors_excluded_up_to")
+    most = 4 * fresh["divisors_excluded_up_to"]
+    return recorded.get("proved") is True and isinstance(divisors, int) and 0 < divisors <= most
 
 
 def _same_words(recorded: Any, fresh: str) -> bool:
