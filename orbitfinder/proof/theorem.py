@@ -224,7 +224,7 @@ def _prove(
                 if rounds > 2 * SHARPENINGS or enough(proof):
                     return proof
             except NotProved:
-                if rounds:
+                if rounds > SHARPENINGS:
                     raise
         say(f"multipliers or recorded balls open in a box of radius {radius(path.box):.1g}; once more in a smaller one")
         with precision(options.bits + 32 * rounds):
