@@ -22,7 +22,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural, shortened
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
 from orbitfinder.loops.symmetry import named
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
@@ -55,7 +55,18 @@ from orbitfinder.proof.krawczyk import (
     solve,
 )
 from orbitfinder.proof.program import Ring, bound, graphs
-from orbitfinder.proof.record import DIGITS, MARGIN, bounding, checked, enclosure, holds, in_digits
+from orbitfinder.proof.record import (
+    DIGITS,
+    MARGIN,
+    Same,
+    bounding,
+    checked,
+    contradictions,
+    done_again,
+    enclosure,
+    holds,
+    in_digits,
+)
 from orbitfinder.proof.series import recurrence
 from orbitfinder.proof.theorem import (
     CENTRE,
@@ -646,25 +657,16 @@ def replayed_event(
     record: BorderedRecord, model: Model | None = None, progress: Progress | None = None
 ) -> BorderedRecord:  # fmt: skip
     """A recorded proof done again from its centre, balls without a margin. Raises `InputError`."""
-    began = time.perf_counter()
     with precision(record.bits):
         model, say = model or build_model(dict(record.system)), progress or (lambda line: None)
-        try:
-            run = _EventProof(record, model, say) if model.smooth else _GaitEventProof(record, model, say)
-            fresh = run.concluded(1.0, 2 * DIGITS)
-        except (NotProved, IntegrationError, ZeroDivisionError) as error:
-            fresh = replace(record, proved=False, reason=str(error))
-    return replace(fresh, wall_time=round(time.perf_counter() - began, 1))
+        run = _EventProof(record, model, say) if model.smooth else _GaitEventProof(record, model, say)
+        return done_again(record, lambda: run.concluded(1.0, 2 * DIGITS))
 
 
 def false_claims(record: BorderedRecord, fresh: BorderedRecord) -> list[str]:
     """Every claim of a recorded proof that the proof done again does not bear out."""
     if not fresh.proved:
         return [fresh.reason]
-    compared = {"proved": eq, "kind": eq, "side": eq, "contraction": bounding}
+    compared: dict[str, Same] = {"proved": eq, "kind": eq, "side": eq, "contraction": bounding}
     compared |= dict.fromkeys(("value", "energy", "period", "state", "tangent"), holds)
-    old, new = plain(record), plain(fresh)
-    return [
-        f"{name}: recorded {shortened(repr(old[name]), 80)}, found {shortened(repr(new[name]), 80)}"
-        for name, same in compared.items() if not same(old[name], new[name])
-    ]  # fmt: skip
+    return list(contradictions(plain(record), plain(fresh), compared).values())

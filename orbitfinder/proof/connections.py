@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural, shortened
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
 from orbitfinder.integrate.dop853 import SECOND
 from orbitfinder.integrate.dop853 import integrate as integrated
 from orbitfinder.integrate.equations import accelerations
@@ -45,7 +45,6 @@ from orbitfinder.proof.balls import (
     exact,
     floats,
     inside,
-    magnitude,
     midpoints,
     precision,
     radius,
@@ -55,16 +54,27 @@ from orbitfinder.proof.field import Field, make_field, programs
 from orbitfinder.proof.formulation import Formulation
 from orbitfinder.proof.invariance import turns_leave
 from orbitfinder.proof.krawczyk import (
-    MOST_ITERATIONS,
     Krawczyk,
     TheoremEquations,
     approximate_inverse,
     contracted,
+    corrected,
     flow,
     krawczyk,
     solve,
 )
-from orbitfinder.proof.record import DIGITS, MARGIN, bounding, checked, enclosure, holds, in_digits
+from orbitfinder.proof.record import (
+    DIGITS,
+    MARGIN,
+    Same,
+    bounding,
+    checked,
+    contradictions,
+    done_again,
+    enclosure,
+    holds,
+    in_digits,
+)
 from orbitfinder.proof.theorem import CENTRE, NotProved, Options, Progress, enclosed, provable_system
 from orbitfinder.proof.trajectory import (
     Trajectory,
@@ -379,24 +389,28 @@ class ConnectingEquations:
 
     def solved(self, start: Vector, settings: TaylorSettings, target: float) -> Vector:
         """Unknowns whose last correction is below a target. Raises `ConvergenceError`."""
-        here, moved = midpoints(start), np.inf
         law = TheoremEquations(self.field, Formulation(ALONE, self.dimension, 1, (), (), False), None)
-        for _ in range(MOST_ITERATIONS):
+
+        def step(here: Vector) -> Any:
             passed = [flow(law, node, settings, vary=True) for node in self.nodes(here)]
             values = midpoints(self.residual(here, [end for end, _ in passed]))
-            inverse = approximate_inverse(floats(self.jacobian([matrix for _, matrix in passed])))
-            step = (exact(inverse) * column(values)).entries()
-            here = midpoints([x - dx for x, dx in zip(here, step, strict=True)])
-            before, moved = moved, magnitude(step)
-            if moved <= target:
-                return here
-            if not moved < 0.7 * before:
-                break
-        raise ConvergenceError(f"no connection near: Newton's last step was {moved:.2g}")
+            return exact(approximate_inverse(floats(self.jacobian([matrix for _, matrix in passed])))) * column(values)
+
+        return corrected(step, start, target, "connection")
+
+    def around(self, centre: Sequence[float], size: float) -> Vector:
+        """The box of a half width about a centre; places stay on the parts of both manifolds that are enclosed."""
+        box, last = [arb(c, size) for c in centre], 1 + self.dimension * (self.segments - 1)
+        for k, shape in ((0, self.origin), (last, self.goal)):
+            box[k] = arb(centre[k], min(size, shape.reach / 4))
+        return box
 
     def krawczyk(self, box: Vector, settings: TaylorSettings) -> tuple[Krawczyk, list[list[Tube]]]:
-        """The operator over a box, and the steps of each segment from it."""
+        """The operator over a box, and the steps of each segment from it. Raises `NotProved` where a manifold ends."""
         centre = midpoints(box)
+        for place, shape in ((box[0], self.origin), (self.last(box), self.goal)):
+            if place.contains(0) or not abs(place) <= shape.reach:
+                raise NotProved("a place could be the orbit's own, or beyond the part of the manifold that is enclosed")
         passed = [integrate(self.field, cloud(node, point), settings)
                   for node, point in zip(self.nodes(box), self.nodes(centre), strict=True)]  # fmt: skip
         values = self.residual(centre, [end.point for end, _ in passed])
@@ -422,6 +436,7 @@ class _ConnectionProof:
         self.field = make_field(model, self.codes)
         self.symmetry = ALONE if model.rates is not None else NONE
         self.conserved = bool(model.invariants)
+        self.paths, self.shapes = dict[Any, Trajectory](), dict[Any, tuple[LocalManifold, list[Any]]]()
         d = self.field.dimension
         if d != 3 + int(self.conserved):
             raise InputError(
@@ -456,7 +471,10 @@ class _ConnectionProof:
         return TheoremEquations(self.field, form, self.energy, [(list(end.anchor), normal)])
 
     def enclosed_orbit(self, end: ProvedEnd) -> Trajectory:
-        """An end's orbit from its record. Raises `NotProved`."""
+        """An end's orbit from its record, enclosed once. Raises `NotProved`."""
+        key = self.about.energy, end.segments, end.turns, end.anchor, end.centre, end.radius
+        if key in self.paths:
+            return self.paths[key]
         equations, settings = self.orbit(end), self.about.settings
         first = krawczyk(equations, [arb(c, end.radius) for c in end.centre], settings)
         if not first.proved:
@@ -465,6 +483,7 @@ class _ConnectionProof:
         if not moves(path):
             raise NotProved("an orbit could be an equilibrium")
         self.check_push([*path.steps])
+        self.paths[key] = path
         return path
 
     def check_push(self, steps: Sequence[Sequence[Tube]]) -> None:
@@ -475,7 +494,10 @@ class _ConnectionProof:
             raise NotProved("the mass matrix could not be shown to be positive definite along the motion")
 
     def manifold(self, end: ProvedEnd, path: Trajectory) -> tuple[LocalManifold, list[Any]]:
-        """An end's local manifold and the multipliers of its orbit. Raises `NotProved`."""
+        """An end's local manifold, enclosed once, and the multipliers of its orbit. Raises `NotProved`."""
+        key = end.anchor, end.centre, end.frame, end.reach, end.slope, end.lap, end.slack
+        if key in self.shapes:
+            return self.shapes[key]
         shape = shaped(self.field, end, path, self.about.component)
         slopes = return_slopes(self.field, shape, end, path, self.about.component, self.about.settings)
         shape = replace(shape, slope=end.slope)
@@ -484,16 +506,14 @@ class _ConnectionProof:
         sizes = [abs(mu) for mu in multipliers]
         if not (len(sizes) == 2 and sizes[0] > 1 and sizes[1] < 1):
             raise NotProved("an orbit's multipliers could not be shown to be off the unit circle on either side")
+        self.shapes[key] = shape, multipliers
         return shape, multipliers
 
     def concluded(self, margin: float = MARGIN, digits: int = DIGITS) -> ConnectionRecord:
         """What the record says of its box, proved. Raises `NotProved`."""
         about, settings = self.about, self.about.settings
-        origin_at, goal_at = ((end.segments, end.turns, end.anchor, end.centre, end.radius)
-                              for end in (about.origin, about.goal))  # fmt: skip
-        same = origin_at == goal_at
-        path = self.enclosed_orbit(about.origin)
-        other = path if same else self.enclosed_orbit(about.goal)
+        path, other = self.enclosed_orbit(about.origin), self.enclosed_orbit(about.goal)
+        same = path is other
         if not same and not apart(path, other):
             raise NotProved("that the two orbits are different ones could not be shown")
         if not (about.origin.lap > 0 > about.goal.lap):
@@ -503,7 +523,7 @@ class _ConnectionProof:
         if turning and not all(turns_leave(code, self.model.angles) for code in self.codes.all):
             raise NotProved("the equations' invariance under whole turns could not be read off their graph")
         equations = self.equations(origin, goal)
-        first, _ = equations.krawczyk([arb(c, about.radius) for c in about.centre], settings)
+        first, _ = equations.krawczyk(equations.around(about.centre, about.radius), settings)
         if not first.proved:
             raise NotProved("the interval Newton operator does not map the box into itself")
         again, steps = equations.krawczyk(first.image, settings)
@@ -512,9 +532,6 @@ class _ConnectionProof:
         if self.field.rates([*equations.parts(box)[about.before - 1], arb(0), arb(1)])[about.component].contains(0):
             raise NotProved("the motion could touch the plane")
         places = box[0], equations.last(box)
-        for place, shape in zip(places, (origin, goal), strict=True):
-            if place.contains(0) or not abs(place) <= shape.reach:
-                raise NotProved("a place could be the orbit's own, or beyond the part of the manifold that is enclosed")
         if not all(tau > 0 for tau in box[-2:]):
             raise NotProved("the motion could last no time")
 
@@ -554,7 +571,8 @@ class _ConnectionProof:
         start = list(map(arb, equations.formulation.unknowns_of(nodes[:-1], end.period / count)))
         centre = list(map(arb, map(float, solve(equations, start, settings, CENTRE)[0])))
         box = enclosed(lambda box: krawczyk(equations, box, settings), centre, self.say)
-        path = trajectory(equations, box.image, settings)
+        made = replace(made, centre=tuple(map(float, centre)), radius=radius(box.box))
+        path = self.enclosed_orbit(made)
         period, frame = float(path.period.mid()), self.frame(path, sense, np.asarray(end.extents, float))
         rate = [float(x.mid()) for x in self.field.rates(path.first)[: len(point)]]
         off = state - point
@@ -562,10 +580,7 @@ class _ConnectionProof:
         place = float(np.linalg.solve(np.array([*frame, rate]).T, off)[0])
         laps = max(int(inner), math.ceil(math.log(abs(place) / START) / math.log(growth)))
         place *= (end.multiplier if sense < 0 else 1 / end.multiplier) ** laps
-        made = replace(
-            made, centre=tuple(map(float, centre)), radius=radius(box.box), lap=sense * period, frame=frame,
-            reach=2 * abs(place),
-        )  # fmt: skip
+        made = replace(made, lap=sense * period, frame=frame, reach=2 * abs(place))
         shape = shaped(self.field, made, path, self.about.component)
         matrix = floats(monodromy(path))
         swept = np.abs(np.array(frame) @ (matrix if sense > 0 else np.linalg.inv(matrix))[self.about.component])
@@ -640,7 +655,11 @@ class _ConnectionProof:
         equations = self.equations(*shapes)
         centre = list(map(float, equations.solved(list(map(arb, map(float, start))), settings, CENTRE)))
         self.say(f"Newton settled; integrating {equations.segments} segments of a box")
-        box = enclosed(lambda box: equations.krawczyk(box, settings)[0], list(map(arb, centre)), self.say)
+        box = enclosed(
+            lambda box: equations.krawczyk(equations.around(centre, radius(box)), settings)[0],
+            list(map(arb, centre)),
+            self.say,
+        )
         self.about = replace(self.about, centre=tuple(centre), radius=radius(box.box))
 
     def pieces(
@@ -756,28 +775,21 @@ def replayed_connection(
     record: ConnectionRecord, model: Model | None = None, progress: Progress | None = None
 ) -> ConnectionRecord:
     """A recorded proof done again from its centres, balls without a margin. Raises `InputError`."""
-    began = time.perf_counter()
     with precision(record.bits):
         run = _ConnectionProof(record, model or provable_system(record.system), progress or (lambda line: None))
         run.check_sizes()
-        try:
-            fresh = run.concluded(1.0, 2 * DIGITS)
-        except (NotProved, IntegrationError, ZeroDivisionError) as error:
-            fresh = replace(record, proved=False, reason=str(error))
-    return replace(fresh, wall_time=round(time.perf_counter() - began, 1))
+        return done_again(record, lambda: run.concluded(1.0, 2 * DIGITS))
 
 
 def unproved_claims(record: ConnectionRecord, fresh: ConnectionRecord) -> list[str]:
     """Every claim of a recorded proof that the proof done again does not bear out."""
     if not fresh.proved:
         return [fresh.reason]
-    old, new = plain(record), plain(fresh)
-    compared: dict[str, Any] = {"proved": eq, "homoclinic": eq, "contraction": bounding}
+    compared: dict[str, Same] = {"proved": eq, "homoclinic": eq, "contraction": bounding}
     compared |= dict.fromkeys(("state", "places", "durations"), holds)
-    pairs = [(name, old[name], new[name], same) for name, same in compared.items()]
-    pairs += [(f"{end}.{name}", old[end][name], new[end][name], holds)
-              for end in ("origin", "goal") for name in ("period", "multipliers")]  # fmt: skip
-    return [
-        f"{name}: recorded {shortened(repr(was), 80)}, found {shortened(repr(now), 80)}"
-        for name, was, now, same in pairs if not same(was, now)
-    ]  # fmt: skip
+    of_ends = dict.fromkeys(("origin.period", "origin.multipliers", "goal.period", "goal.multipliers"), holds)
+    old, new = (
+        entries | {name: entries[name.partition(".")[0]][name.partition(".")[2]] for name in of_ends}
+        for entries in (plain(record), plain(fresh))
+    )
+    return list(contradictions(old, new, compared | of_ends).values())

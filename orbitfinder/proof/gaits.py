@@ -18,9 +18,8 @@ from functools import cached_property
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
-from orbitfinder.errors import ConvergenceError, InputError, plural
+from orbitfinder.errors import InputError, plural
 from orbitfinder.loops.symmetry import ALONE
 from orbitfinder.mechanics.hybrid import Mode, Transition
 from orbitfinder.mechanics.model import Model
@@ -30,13 +29,13 @@ from orbitfinder.proof.balls import (
     arb_mat,
     between,
     block,
+    column,
     decimal,
     dense,
     exact,
     floats,
     identity,
     inside,
-    magnitude,
     midpoints,
 )
 from orbitfinder.proof.enclosure import TaylorSettings, Tube, cloud, integrate
@@ -49,6 +48,7 @@ from orbitfinder.proof.krawczyk import (
     TheoremEquations,
     approximate_inverse,
     contracted,
+    corrected,
     flow,
 )
 from orbitfinder.proof.program import ScalarProgram, derived
@@ -155,19 +155,15 @@ class GuardedCycle:
 
     def solved(self, start: Vector, settings: TaylorSettings, target: float) -> Vector:
         """Unknowns whose last correction is below a target. Raises `ConvergenceError`."""
-        here, moved = midpoints(start), np.inf
-        for _ in range(MOST_ITERATIONS):
+
+        def step(here: Vector) -> Any:
             passed = [flow(arc.equations, [*part[:-1], arb(0), part[-1]], settings, vary=True)
                       for arc, part in zip(self.arcs, self.parts(here), strict=True)]  # fmt: skip
             values = self.residual(here, [end for end, _ in passed])
             slopes = floats(self.jacobian([end for end, _ in passed], [matrix for _, matrix in passed]))
-            step = (exact(approximate_inverse(slopes)) * arb_mat([[value.mid()] for value in values])).entries()
-            here, before, moved = midpoints([x - dx for x, dx in zip(here, step, strict=True)]), moved, magnitude(step)
-            if moved <= target:
-                return here
-            if not moved < 0.5 * before:
-                break
-        raise ConvergenceError(f"no orbit near: Newton's last step was {moved:.2g}")
+            return exact(approximate_inverse(slopes)) * column(midpoints(values))
+
+        return corrected(step, start, target, "orbit")
 
     def krawczyk(self, box: Vector, settings: TaylorSettings) -> tuple[Krawczyk, list[Passed]]:
         """The operator over a box, and the arcs from it."""

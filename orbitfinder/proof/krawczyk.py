@@ -7,7 +7,7 @@ Interval Methods for Systems of TheoremEquations (1990), section 5.1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -219,6 +219,19 @@ def evaluated(equations: TheoremEquations, unknowns: Vector, settings: TaylorSet
     """F at a point."""
     ends = [flow(equations, node, settings, vary=False)[0] for node in equations.formulation.nodes(unknowns)]
     return midpoints(residual(equations, unknowns, ends))
+
+
+def corrected(step: Callable[[Vector], Any], start: Vector, target: float, what: str) -> Vector:
+    """Unknowns whose last correction (a column, of `step`) is below a target. Raises `ConvergenceError`."""
+    here, moved = midpoints(start), float("inf")
+    for _ in range(MOST_ITERATIONS):
+        change = step(here).entries()
+        here, before, moved = midpoints([x - dx for x, dx in zip(here, change, strict=True)]), moved, magnitude(change)
+        if moved <= target:
+            return here
+        if not moved < 0.5 * before:
+            break
+    raise ConvergenceError(f"no {what} near: Newton's last step was {moved:.2g}")
 
 
 def solve(

@@ -5,25 +5,28 @@ from __future__ import annotations
 import math
 import operator
 import re
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Context, Decimal, Inexact, InvalidOperation, localcontext
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime.cluster import home
-from orbitfinder.errors import InputError, shortened
+from orbitfinder.errors import InputError, IntegrationError, shortened
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Versioned, arb, precision
-from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, provable_model, proved_until
+from orbitfinder.proof.theorem import STATEMENT, NotProved, Options, Progress, Proof, provable_model, proved_until
 from orbitfinder.records.orbit import Orbit, read_document, recorded_proof
 from orbitfinder.records.reading import read_as, write_json
 
+Record = TypeVar("Record")
+Same = Callable[[Any, Any], bool]
 DIGITS = 30
 """Decimal places of the centres of enclosures in a record"""
 MARGIN = 2.0
@@ -181,12 +184,25 @@ def replay(
     return proof, list((wrong or {}).values()) if proof.proved else [proof.reason]
 
 
-def contradictions(recorded: Mapping[str, Any], fresh: Mapping[str, Any]) -> dict[str, str]:
-    """What is wrong with each claim of a recorded entry that the proof done again, written as found, does not prove."""
+def contradictions(
+    recorded: Mapping[str, Any], fresh: Mapping[str, Any], compared: Mapping[str, Same] | None = None
+) -> dict[str, str]:
+    """What is wrong with each claim of a recorded entry that the proof done again, written as found, does not prove;
+    `compared` says which claims there are and how they are told, `COMPARED` if absent."""
     return {
         name: f"{name}: recorded {shortened(repr(recorded.get(name)), 80)}, found {shortened(repr(fresh[name]), 80)}"
-        for name, same in COMPARED.items() if not same(recorded.get(name), fresh[name])
+        for name, same in (compared or COMPARED).items() if not same(recorded.get(name), fresh[name])
     }  # fmt: skip
+
+
+def done_again(record: Record, concluded: Callable[[], Record]) -> Record:
+    """What a record of its own file says when it is proved again, or why it cannot be, and how long that took."""
+    began = time.perf_counter()
+    try:
+        fresh = concluded()
+    except (NotProved, IntegrationError, ZeroDivisionError) as error:
+        fresh = replace(record, proved=False, reason=str(error))  # type: ignore[type-var]
+    return replace(fresh, wall_time=round(time.perf_counter() - began, 1))  # type: ignore[type-var]
 
 
 def close(recorded: Any, fresh: float, factor: float = 2.0) -> bool:
@@ -249,7 +265,7 @@ def holds_each(recorded: Any, fresh: list[Any]) -> bool:
     return not apart[linear_sum_assignment(apart)].any()
 
 
-COMPARED: dict[str, Callable[[Any, Any], bool]] = {
+COMPARED: dict[str, Same] = {
     **dict.fromkeys(("proved", "reason", "symmetry", "segments", "stability"), operator.eq),
     **dict.fromkeys(("period", "energy", "state", "nodes", "unfolding"), holds),
     "multipliers": holds_each,
