@@ -15,6 +15,7 @@ from click.testing import CliRunner
 import orbitfinder as of
 from orbitfinder.atlas.controlled import problem_of, statement
 from orbitfinder.atlas.export import exported
+from orbitfinder.atlas.signature import signature_of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.exports.source import samples_of
@@ -93,6 +94,7 @@ def test_many_starts_lead_to_both_optima_of_the_closed_form(book: Path) -> None:
     with of.Atlas(book) as atlas:
         orbits = sorted((atlas.orbit(row.id) for row in atlas.rows()), key=lambda orbit: orbit.state[0])
         costs = [row.cost for row in atlas.rows(order="cost")]
+        assert {row.energy for row in atlas.rows()} == {0.0}  # which a control changes
         starts = atlas.select([str, str], "SELECT strategy, outcome FROM starts ORDER BY number")
     s, cost = optima()
     np.testing.assert_allclose([orbit.state[0] for orbit in orbits], s, rtol=1e-6)
@@ -107,6 +109,9 @@ def test_it_goes_on_where_it_stopped(book: Path, problem: of.Problem) -> None:
     tally = again.tallies[0][1]
     assert (tally.done, tally.duplicates, again.summary.starts, again.summary.orbits) == (1, 1, 5, 2)
     assert "loop of three harmonics" in again.summary.remarks[-1]
+    assert problem.control is not None
+    other = replace(problem, control=replace(problem.control, cost="2 * force**2"))
+    assert of.search(other, None, (4.0, 6.0), book, starts=0, workers=0).summary.starts == 0  # another search
 
 
 def test_a_known_orbit_is_known_and_one_of_a_file_is_added(book: Path, folder: Path, problem: of.Problem) -> None:
@@ -126,8 +131,9 @@ def test_what_is_drawn_and_exported_of_it_moves_under_its_control(book: Path) ->
     model, filmed = build_model(orbit.system), Simulator(build_model).orbit(document)
     assert filmed is not None and Simulator(build_model).neighbour(document, filmed) is None
     drawn = whole(orbit, model)
-    piece = filmed.course.pieces[0]
-    for times, states in (samples_of(orbit, model), (drawn.times, drawn.samples), (piece.times, piece.states)):
+    piece, loop = filmed.course.pieces[0], signature_of(orbit, model).loop
+    looped = np.arange(len(loop)) * orbit.period / len(loop), loop
+    for times, states in (samples_of(orbit, model), (drawn.times, drawn.samples), (piece.times, piece.states), looped):
         np.testing.assert_allclose(states[:, 0], moved(orbit.state[0], times), atol=1e-8)
 
 
@@ -159,10 +165,14 @@ def test_the_problem_file_of_an_orbit_asks_for_it_again(book: Path, folder: Path
 
 
 def test_a_statement_travels_whole(problem: of.Problem) -> None:
+    assert problem.control is not None
+    control = replace(problem.control, tasks=(of.Task("x", lowest=-3.0),))
+    problem = replace(problem, control=control, bounds={"x": (-3.0, 3.0)}, tolerance=1e-9)
     asked = json.loads(json.dumps(statement(problem)))
     again = problem_of(build_model(problem.model.system), asked)
     assert statement(again) == asked
     assert again.control == problem.control and again.pin == problem.pin
+    assert (again.bounds, again.tolerance) == (problem.bounds, problem.tolerance)
 
 
 @pytest.mark.parametrize(

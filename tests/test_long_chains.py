@@ -196,6 +196,12 @@ def test_harmonic_balance_gives_up_on_nonsense():
         assert harmonic_balance.correct(Series(np.ones((1, 1)), 3.8), newton, row) is None
 
 
+def test_a_quarter_that_does_not_end_where_it_should_does_not_close(twelve):
+    """The rest of the period is its images, which are apart by twice what q(T/4) misses."""
+    off = measured(build_chain(mode_problem(12, 0.5)), twelve.state[:12], twelve.period * (1 + 1e-6))
+    assert twelve.closure < 1e-11 and off.closure > 1e-7
+
+
 def test_a_closed_form_that_is_not_the_chains_is_noticed(twelve, monkeypatch):
     """Weights off by 1e-6 are an error where the multipliers would be wrong; the right ones agree to round-off."""
     chain = build_chain(mode_problem(12, 0.5))

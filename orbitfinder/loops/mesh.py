@@ -14,7 +14,7 @@ from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plan
 from orbitfinder.loops.loop import Unknowns
 
 STEP_ERROR = 5e-13
-"""Estimated relative error of a Runge-Kutta step on a fresh mesh; the true one is some 100 times smaller."""
+"""Estimated relative error of a Runge-Kutta step on a fresh mesh; the true one is hundreds of times smaller."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class MeshSettings:
     coarse: float = 10.0
     """A mesh is kept until some step's estimate is this many times as large."""
     variation_error: float = 2e-10
-    """Estimated error of a step's state-transition matrix on a fresh mesh; the true one is some 100 times smaller."""
+    """Estimated error of a step's state-transition matrix on a fresh mesh, mostly 30 to 300 times the true one."""
     spare: float = 5.0
     """A mesh is looked at again when the motion alone would do with this many times fewer steps."""
     stale: float = 5.0

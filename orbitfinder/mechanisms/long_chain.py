@@ -3,7 +3,7 @@
 A brake and reflection symmetric motion starts at rest at q0 and is at q = 0 a quarter period later, so
 n + 1 unknowns (q0, T) and as many equations {q(T/4) = 0, one pin} are all there is; multiple shooting
 with all states of all nodes would have 16 times as many at 8 segments. Harmonic balance follows the
-family from the linear mode (see `harmonic_balance`), shooting takes its result to round-off, and the
+family from the linear mode (see `guesses.balance`), shooting takes its result to round-off, and the
 multipliers of the whole period follow from one quarter by symmetry.
 """
 

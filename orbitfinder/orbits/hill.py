@@ -211,8 +211,6 @@ def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarra
     rest, picked = -0.5 * seen.least, dict[int, float]()  # where c is less than half of what would let it grow
     upper = np.triu_indices(frequencies.size)
     between, allowed = (np.sqrt(np.outer(x, x))[upper] for x in (frequencies, decays))
-    upper = np.triu_indices(frequencies.size)
-    between, allowed = (np.sqrt(np.outer(x, x))[upper] for x in (frequencies, decays))
     for k in np.flatnonzero(worth > ROUND_OFF * worth.max(initial=0.0)) + 1:
         coupling = np.zeros((frequencies.size, frequencies.size))
         for kind in (0, 1):
