@@ -154,7 +154,7 @@ def test_the_error_of_the_displacement_is_of_second_order(first):
         wrong.displacement(1e-9)
 
 
-def test_a_connection_is_found_certified_saved_and_certified_again(homoclinic, tmp_path):
+def test_a_connection_is_found_certified_saved_and_certified_again(homoclinic, tmp_path, monkeypatch):
     known = homoclinic
     assert known.certificate.passed and known.error < 1e-11 and 0.01 < known.angle < 1.57
     ends = known.samples[[0, -1]]
@@ -165,6 +165,11 @@ def test_a_connection_is_found_certified_saved_and_certified_again(homoclinic, t
     assert again.certificate.passed and again.kind == "homoclinic" and again.error == known.error
     np.testing.assert_array_equal(again.states, known.states)
     assert certify_connection(again, wells(0.05)).passed
+    monkeypatch.setattr("orbitfinder.show.sections.save_png", lambda figure, path: figure)
+    (axes,) = of.sections.draw_section(None, tmp_path / "x.png", connections=[again], model=wells(0.05)).axes
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()  # no crossing is outside, nor is round-off magnified
+    assert ((again.states[:, [0, 2]] > [left, low]) & (again.states[:, [0, 2]] < [right, high])).all()
+    assert right - left > 1e-3 and high - low > 1e-3
     said = CliRunner().invoke(
         cli, ["verify", str(tmp_path / "connection.json")]
     )  # wells are no file's: so far it comes

@@ -558,7 +558,11 @@ def potential(tmp_path_factory):
 
 def test_motions_of_a_section_have_addresses_and_zoom(browser, potential):
     page = next((potential / "sections").glob("*.html"))
+    data = potential / "data" / "sections" / f"{page.stem}.js"
+    data.write_text(data.read_text().replace('"undecided"', '"regular"'))  # as of a longer section
     go(browser, page, 390, "dark")
+    colours = "return document.getElementById('plot').data.find(one => one.name === 'regular').marker.color"
+    assert len(set(browser.execute_script(colours))) == 3
     assert ask(browser, "overflow") == [] and ask(browser, "nameless") == []
     found = ask(browser, "texts")
     assert len(found) > 10 and [text for text in found if text[0] < 4.5] == []
@@ -708,12 +712,15 @@ def test_a_robot_is_seen_by_its_solids_the_nearer_before_the_farther(browser, sp
     go(browser, spatial / "a1-leg.html", motion="reduce")
     page = spatial.parent / "data" / "orbits" / "a1-leg.js"
     assert page.stat().st_size < 80_000 and page.read_text().count("orbitfinder.put") == 2
+    assert page.with_name("spherical-pendulum.js").read_text().count("orbitfinder.put") == 1
     seen = f"""{SEEN} const w = s.dots.width, at = [];
         new Uint32Array(s.dots.data.buffer).forEach((dot, k) => {{ if (dot) at.push(k % w); }});
         const [low, high] = [Math.min, Math.max].map(end => at.reduce((a, b) => end(a, b)));
-        return [w, s.dots.height, at.length, low, high]"""
-    wide, high, dots, left, right = browser.execute_script(seen)
-    assert 0.03 < dots / (wide * high) < 0.5 and 0 < left < right < wide - 1 and browser.get_log("browser") == []
+        const rows = [...new Uint32Array(s.dots.data.buffer)].flatMap((dot, k) => dot ? [Math.floor(k / w)] : []);
+        return [w, s.dots.height, at.length, low, high, rows[0], rows.at(-1)]"""
+    wide, high, dots, left, right, top, bottom = browser.execute_script(seen)
+    assert 0 < left < right < wide - 1 and 0 < top < bottom < high - 1
+    assert 0.03 < dots / (wide * high) < 0.5 and browser.get_log("browser") == []
     depths = browser.execute_script(f"""{SEEN} const now = m.at(0);
         return m.strokes.filter(one => one[0] === 'solid').map(one => {{
           const at = s.point(now, one[1][0]), k = Math.round(2 * at[1]) * s.dots.width + Math.round(2 * at[0]);
@@ -726,6 +733,11 @@ def test_a_robot_is_seen_by_its_solids_the_nearer_before_the_farther(browser, sp
     wait(browser, "return !orbitfinder.player.stale")
     assert browser.execute_script(f"{SEEN} return s.dots === null")
     assert browser.execute_script(f"{SEEN} {INK}") < 0.8 * ink
+    drawn = browser.execute_script(f"""{SEEN} const now = m.at(0);
+        return m.strokes.filter(one => one[0] === 'bone').map(one => {{
+          const [a, b] = one[1].map(p => s.point(now, p));
+          return s.pen.getImageData((a[0] + b[0]) / 2, (a[1] + b[1]) / 2, 1, 1).data[3]; }})""")
+    assert drawn == [255] * 3
 
 
 def test_a_relative_orbit_goes_on_turning_over_the_end_of_its_period(browser, spatial):

@@ -204,7 +204,13 @@ def wedge(folder):
 def test_links_look_as_their_files_say(tmp_path):
     """One link for each format, at its origin, turned and scaled; what is lost is said, and that link is a line."""
     corners, faces = wedge(tmp_path)
-    meshes = ["binary.stl", "package://looks/meshes/text.STL", "w.obj", "file://" + str(tmp_path / "w.dae"), "lost.stl"]
+    meshes = [
+        "../binary.stl",
+        "package://looks/meshes/text.STL",
+        "package://arm/w.obj",
+        "file://" + str(tmp_path / "w.dae"),
+        "lost.stl",
+    ]
     links = [
         f"<link name='l{k}'>{WEIGHT}<visual><origin xyz='0.5 0 0' rpy='0 0 1.5707963267948966'/><geometry>"
         f"<mesh filename='{mesh}' scale='0.1 0.1 -0.1'/></geometry></visual></link>"
@@ -216,9 +222,10 @@ def test_links_look_as_their_files_say(tmp_path):
     ]
     base = "<link name='l-1'><visual><geometry><cylinder radius='0.2' length='0.6'/></geometry></visual></link>"
     (tmp_path / "robots").mkdir()
-    (tmp_path / "arm.urdf").write_text(f"<robot name='arm'>{base}{''.join(links + joints)}</robot>")
+    file = tmp_path / "robots" / "arm.urdf"
+    file.write_text(f"<robot name='arm'>{base}{''.join(links + joints)}</robot>")
     with pytest.warns(Hint, match=r"arm.urdf: of link 'l4' the mesh lost.stl is not there"):
-        model = of.robot(tmp_path / "arm.urdf")
+        model = of.robot(file)
     solids = model.system["drawn"]["solids"]
     assert [*solids] == ["ground", "l0", "l1", "l2", "l3"]
     assert solids["ground"][:6] == pytest.approx([0, 0, 0, 0.3, 0.2, 0.2])
@@ -246,9 +253,9 @@ def test_links_look_as_their_files_say(tmp_path):
     kinds = [kind for kind, _ in model.strokes]
     assert kinds.count("solid") == 5 and kinds.count("bone") == 4 and kinds.count("rod") == 1
     for broken in (b"", b"solid\nvertex 1 2\n", b"vertex 1 2 x"):
-        (tmp_path / "lost.stl").write_bytes(broken)
+        file.with_name("lost.stl").write_bytes(broken)
         with pytest.warns(Hint, match=r"of link 'l4' lost.stl: is no STL file that can be read"):
-            of.robot(tmp_path / "arm.urdf", locked=["j0", "j1", "j2", "j3"])
+            of.robot(file, locked=["j0", "j1", "j2", "j3"])
 
 
 def volume(corners, faces):

@@ -353,6 +353,7 @@ def test_a_section_has_a_page_of_its_own(swing, tmp_path):
     found = gather(files)
     data = section_data(found.sections[0], found)
     assert [one["kind"] for one in data["items"][-1:]] == ["orbit"] and len(data["items"]) == 5
+    assert data["axes"] == ["θ<sub>2</sub> (rad)", "rate of θ<sub>2</sub> (rad/s)"]
     np.testing.assert_allclose(data["items"][1]["x"], made.points[made.seeds == 1][:, 0], rtol=1e-5)
     assert all(one["motion"]["count"] == 480 for one in data["items"])
     site, _ = build_site(found, SiteSettings("sections", verify=False))

@@ -60,11 +60,9 @@ def ball(radius: float, length: float = 0.0) -> Solid:
 
 
 def merged(corners: np.ndarray, faces: np.ndarray) -> Solid:
-    """The same with each corner once, without triangles that are none."""
+    """The same with each corner and triangle once, without triangles that are none."""
     _, first, of = np.unique(_cells(corners, 1_000_000), return_index=True, return_inverse=True)
-    faces = of[faces]
-    kept = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return corners[first], faces[kept]
+    return corners[first], _distinct(of[faces])
 
 
 def _cells(corners: np.ndarray, cells: int) -> np.ndarray:
@@ -222,7 +220,7 @@ def reduced(solid: Solid, most: int) -> Solid:
     moved = np.linalg.solve(planes + soft, right[:, :, None])[:, :, 0]
     away = float(np.ptp(corners, axis=0).max()) / coarse
     places = middle + np.clip(moved, -away, away)
-    return merged(places, _distinct(chosen[faces]))
+    return merged(places, chosen[faces])
 
 
 def _distinct(faces: np.ndarray) -> np.ndarray:
@@ -230,7 +228,7 @@ def _distinct(faces: np.ndarray) -> np.ndarray:
     kept = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     a, b, c = np.sort(faces[kept].astype(np.int64), axis=1).T
     many = int(c.max(initial=0)) + 1
-    return np.asarray(faces[kept][np.unique((a * many + b) * many + c, return_index=True)[1]])
+    return np.asarray(faces[kept][np.sort(np.unique((a * many + b) * many + c, return_index=True)[1])])
 
 
 def described(solids: Mapping[str, Solid]) -> dict[str, list[float | str]]:

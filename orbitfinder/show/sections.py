@@ -45,7 +45,7 @@ def draw_section(
 ) -> Path:
     """Draw a section as PNG, with the crossings of orbits and tori, the curves of manifolds, the points of connections.
 
-    Regular motions are coloured, each with a colour of its own, chaotic ones grey, undecided ones black. Without a
+    Regular motions have four colours in turn, chaotic ones are grey, undecided ones black. Without a
     section the plane is that of the first manifold or connection. Raises `InputError` where they lie on different
     planes.
     """
@@ -66,7 +66,8 @@ def draw_section(
     for manifold in manifolds:
         _curves(axes, manifold, model, (across, up))
     for way in connections:
-        axes.plot(*way.states[:, [across, up]].T, "x", color="black", markersize=4, markeredgewidth=0.8)
+        axes.plot(*way.states[:, [across, up]].T, "x", color="black", markersize=4, markeredgewidth=0.8,
+                  label="its other crossings")  # fmt: skip
         axes.plot(way.state[across], way.state[up], "D", color="black", markersize=5, label=f"{way.kind} point")
     for k, torus in enumerate(tori):
         surface = named_surface(model, first.plane, first.axes)
@@ -127,7 +128,7 @@ def _limits(
 ) -> None:  # fmt: skip
     """What is drawn, but for what is far out."""
     ends = [manifold.reach(names) for manifold in manifolds]
-    points = [way.state[None, [way.state_names.index(name) for name in names]] for way in connections]
+    points = [way.states[:, [way.state_names.index(name) for name in names]] for way in connections]
     if section is not None:
         ends.append(reach(section.points, np.ones(section.returns)))
     ends += [(place.min(axis=0), place.max(axis=0)) for place in points]

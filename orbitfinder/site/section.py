@@ -14,6 +14,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lasting, units
 from orbitfinder.show.facts import number
 from orbitfinder.show.scene import evenly
+from orbitfinder.show.svg import axis
 from orbitfinder.site.gather import Gathered
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import framed, packed, recorded
@@ -62,7 +63,9 @@ def section_data(section: Section, gathered: Gathered) -> dict[str, Any]:
         items += _orbits(section, model, gathered)
         curves = [curve for laid in gathered.laid for curve in _laid(laid, section, surface) if _belongs(laid, section)]
     frame = framed([item["motion"] for item in items if item["motion"]])
-    return {"name": section.name, "axes": [coordinate(name) for name in section.axes], "items": items, "curves": curves,
+    axes = [coordinate(name) if model is None else axis(model, model.state_names.index(name), coordinate)
+            for name in section.axes]  # fmt: skip
+    return {"name": section.name, "axes": axes, "items": items, "curves": curves,
             "told": section.told, "time": units(section.system)["time"], "landscape": landscape(model, frame),
             "energy": section.energy if np.isfinite(section.energy) else None}  # fmt: skip
 
