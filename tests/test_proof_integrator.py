@@ -105,6 +105,24 @@ def test_series_and_remainders_of_every_operation():
             assert ball.rad() < 1e-2
 
 
+@pytest.mark.parametrize(
+    ("made", "slope", "rest"),
+    [(ca.exp, -1.0, -1.5), (ca.log, 1.0, 0.5), (ca.sin, 2.0, -1.0), (ca.sqrt, -0.25, -0.125),
+     (lambda x: x**2 - 1 / x, 1.0, 0.5), (lambda x: x / (2 + x), -0.5, -0.25)],
+)  # fmt: skip
+def test_remainders_of_what_has_one(made, slope, rest):
+    """Over a long step of a low order, f(1 + a t + r t^2) is in the model, where r and the tail nearly cancel too."""
+    x = ca.SX.sym("x")
+    function = ca.Function("f", [x], [made(x)])
+    code = recurrence(program(function), {})
+    values = whole_series(code, 1, [[arb(1), arb(slope)]])[0]
+    (ball,) = outputs(code, Beyond(code, values, 2, arb(0.5, 0.5)).remainders([arb(rest)]))[0].values()
+    (series,) = outputs(code, values)[0].values()
+    for t in np.linspace(0.0, 1.0, 21)[1:]:
+        off = ball * arb(t * t) + series(arb(t)) - float(function(1 + slope * t + rest * t * t))
+        assert off.is_finite() and (off + arb(0, 1e-14)).contains(0)
+
+
 def test_whole_series_are_those_found_term_by_term():
     """Arb's series arithmetic and our recurrences give the same coefficients of every operation."""
     code = recurrence(program(elementary()), {1: [decimal(0.7)]})
