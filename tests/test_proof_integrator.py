@@ -1,6 +1,7 @@
 """The validated integrator: exact solutions, another integrator, containment, and enclosures broken on purpose."""
 
 from dataclasses import replace
+from itertools import product
 
 import casadi as ca
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.special import ellipj, ellipk
 
 pytest.importorskip("flint")
 
+import orbitfinder as of
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import TIGHTEST, integrate
 from orbitfinder.integrate.field import vector_field
@@ -168,6 +170,27 @@ def test_harmonic_oscillator_over_a_hundred_periods():
         assert all(ball.contains(exact) for ball, exact in zip(here.hull, truth, strict=False))
     assert radius(here.point[:2]) < 1e-11
     assert radius(here.hull[:2]) < 1.01 * spread * np.sqrt(2)
+
+
+@pytest.mark.parametrize("settings", [TaylorSettings(tolerance=1e-6), TaylorSettings(order=4, tolerance=1e-4)])
+@pytest.mark.parametrize("spread", [1e-12, 0.03])
+def test_all_solutions_of_a_wide_box_and_their_derivatives(spread, settings):
+    """x' = x^2, y' = x y over tau: states on the way and at the end, and their slopes, from a box's corners."""
+    field = make_field(of.ode(lambda _, x, p: [x.x**2, x.x * x.y], ("x", "y")))
+    centre = [arb(1), arb(-2), arb(0.25)]
+    box = [*(x + arb(0, spread) for x in centre[:2]), arb(0), centre[2] + arb(0, spread)]
+    here, steps = enclosure.integrate(field, cloud(box), settings)
+    for signs in product((-1, 0, 1), repeat=3):
+        x, y, tau = (a + sign * arb(spread) for a, sign in zip(centre, signs, strict=True))
+        for step in steps:
+            pace = 1 - x * tau * (arb(step.begin) + arb(step.h) / 2)
+            ways = step.at(arb(step.h) / 2)
+            assert all(ball.contains(exact.mid()) for ball, exact in zip(ways, (x / pace, y / pace), strict=True))
+        pace = 1 - x * tau
+        slopes = [1 / pace**2, 0, x**2 / pace**2, y * tau / pace**2, 1 / pace, x * y / pace**2]
+        rows = [row[k] for row in here.derivatives.tolist() for k in (0, 1, 3)]
+        for ball, exact in zip([*here.hull[:2], *rows], [x / pace, y / pace, *slopes], strict=True):
+            assert ball.contains(arb(exact).mid())
 
 
 def test_wrapping_is_what_frames_prevent(monkeypatch):
