@@ -270,7 +270,7 @@ def escaped(samples, unfolding=0.0):
 
 
 def many(model, starts):
-    """Ends of many solutions at once, by 400 steps of the classical method of fourth order."""
+    """Ends of many solutions at once, by 200 steps of the classical method of fourth order."""
     n, count = model.degrees_of_freedom, len(starts)
     acceleration = model.acceleration.map(count)
     p = np.tile(model.parameter_values[:, None], (1, count))
@@ -278,8 +278,8 @@ def many(model, starts):
     def field(x):
         return np.vstack([x[n:], acceleration(np.zeros((1, count)), x[:n], x[n:], p).full()])
 
-    x, h = starts.T.copy(), DURATION / 400
-    for _ in range(400):
+    x, h = starts.T.copy(), DURATION / 200
+    for _ in range(200):
         a = field(x)
         b = field(x + h / 2 * a)
         c = field(x + h / 2 * b)
