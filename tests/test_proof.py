@@ -278,6 +278,7 @@ def test_a_proof_is_not_written_into_another_orbit(proved, saved):
             lambda e: widened(e["period"], factor=1e-12), "period", marks=pytest.mark.slow
         ),  # smaller than can be proved
         (lambda e: widened(e["nodes"][1][2], radii=-1.6), "nodes"),
+        pytest.param(lambda e: [node.pop() for node in e["nodes"]], "nodes", marks=pytest.mark.slow),
         (lambda e: widened(e["multipliers"][0][1], radii=1.6), "multipliers"),
         (lambda e: widened(e["energy"], radii=1e10), "energy"),
         pytest.param(lambda e: e["period"].update(value="1e999999999"), "period", marks=pytest.mark.slow),
@@ -351,6 +352,8 @@ def test_record_of_a_nudged_state_is_rejected(saved):
         (lambda d: d["proof"].update(order=10**6), "order: must be from 10 to 120"),
         (lambda d: d["proof"].update(order=4), "order: must be from 10 to 120"),
         (lambda d: d["proof"].update(segments=1000), "segments: must be from 1 to 100"),
+        (lambda d: d["proof"].update(segments=0), "segments: must be from 1 to 100"),
+        (lambda d: d["proof"].update(box_radius=1e-300), "need not hold the orbit"),
         (lambda d: d["proof"].update(contraction="x"), "contraction: expected a finite number"),
         (lambda d: d["proof"].update(symmetry="odd"), "symmetry: unknown 'odd'"),
     ],

@@ -1,6 +1,7 @@
 """The validated integrator: exact solutions, another integrator, containment, and enclosures broken on purpose."""
 
 from dataclasses import replace
+from itertools import product
 
 import casadi as ca
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.special import ellipj, ellipk
 
 pytest.importorskip("flint")
 
+import orbitfinder as of
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import TIGHTEST, integrate
 from orbitfinder.integrate.field import vector_field
@@ -105,6 +107,24 @@ def test_series_and_remainders_of_every_operation():
             assert ball.rad() < 1e-2
 
 
+@pytest.mark.parametrize(
+    ("made", "slope", "rest"),
+    [(ca.exp, -1.0, -1.5), (ca.log, 1.0, 0.5), (ca.sin, 2.0, -1.0), (ca.sqrt, -0.25, -0.125),
+     (lambda x: x**2 - 1 / x, 1.0, 0.5), (lambda x: x / (2 + x), -0.5, -0.25)],
+)  # fmt: skip
+def test_remainders_of_what_has_one(made, slope, rest):
+    """Over a long step of a low order, f(1 + a t + r t^2) is in the model, where r and the tail nearly cancel too."""
+    x = ca.SX.sym("x")
+    function = ca.Function("f", [x], [made(x)])
+    code = recurrence(program(function), {})
+    values = whole_series(code, 1, [[arb(1), arb(slope)]])[0]
+    (ball,) = outputs(code, Beyond(code, values, 2, arb(0.5, 0.5)).remainders([arb(rest)]))[0].values()
+    (series,) = outputs(code, values)[0].values()
+    for t in np.linspace(0.0, 1.0, 21)[1:]:
+        off = ball * arb(t * t) + series(arb(t)) - float(function(1 + slope * t + rest * t * t))
+        assert off.is_finite() and (off + arb(0, 1e-14)).contains(0)
+
+
 def test_whole_series_are_those_found_term_by_term():
     """Arb's series arithmetic and our recurrences give the same coefficients of every operation."""
     code = recurrence(program(elementary()), {1: [decimal(0.7)]})
@@ -150,6 +170,27 @@ def test_harmonic_oscillator_over_a_hundred_periods():
         assert all(ball.contains(exact) for ball, exact in zip(here.hull, truth, strict=False))
     assert radius(here.point[:2]) < 1e-11
     assert radius(here.hull[:2]) < 1.01 * spread * np.sqrt(2)
+
+
+@pytest.mark.parametrize("settings", [TaylorSettings(tolerance=1e-6), TaylorSettings(order=4, tolerance=1e-4)])
+@pytest.mark.parametrize("spread", [1e-12, 0.03])
+def test_all_solutions_of_a_wide_box_and_their_derivatives(spread, settings):
+    """x' = x^2, y' = x y over tau: states on the way and at the end, and their slopes, from a box's corners."""
+    field = make_field(of.ode(lambda _, x, p: [x.x**2, x.x * x.y], ("x", "y")))
+    centre = [arb(1), arb(-2), arb(0.25)]
+    box = [*(x + arb(0, spread) for x in centre[:2]), arb(0), centre[2] + arb(0, spread)]
+    here, steps = enclosure.integrate(field, cloud(box), settings)
+    for signs in product((-1, 0, 1), repeat=3):
+        x, y, tau = (a + sign * arb(spread) for a, sign in zip(centre, signs, strict=True))
+        for step in steps:
+            pace = 1 - x * tau * (arb(step.begin) + arb(step.h) / 2)
+            ways = step.at(arb(step.h) / 2)
+            assert all(ball.contains(exact.mid()) for ball, exact in zip(ways, (x / pace, y / pace), strict=True))
+        pace = 1 - x * tau
+        slopes = [1 / pace**2, 0, x**2 / pace**2, y * tau / pace**2, 1 / pace, x * y / pace**2]
+        rows = [row[k] for row in here.derivatives.tolist() for k in (0, 1, 3)]
+        for ball, exact in zip([*here.hull[:2], *rows], [x / pace, y / pace, *slopes], strict=True):
+            assert ball.contains(arb(exact).mid())
 
 
 def test_wrapping_is_what_frames_prevent(monkeypatch):
@@ -229,7 +270,7 @@ def escaped(samples, unfolding=0.0):
 
 
 def many(model, starts):
-    """Ends of many solutions at once, by 400 steps of the classical method of fourth order."""
+    """Ends of many solutions at once, by 200 steps of the classical method of fourth order."""
     n, count = model.degrees_of_freedom, len(starts)
     acceleration = model.acceleration.map(count)
     p = np.tile(model.parameter_values[:, None], (1, count))
@@ -237,8 +278,8 @@ def many(model, starts):
     def field(x):
         return np.vstack([x[n:], acceleration(np.zeros((1, count)), x[:n], x[n:], p).full()])
 
-    x, h = starts.T.copy(), DURATION / 400
-    for _ in range(400):
+    x, h = starts.T.copy(), DURATION / 200
+    for _ in range(200):
         a = field(x)
         b = field(x + h / 2 * a)
         c = field(x + h / 2 * b)

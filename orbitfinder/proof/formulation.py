@@ -214,7 +214,7 @@ def approach(
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(period) and period > 0):
         raise InputError("state: state or period is not a usable number; run the problem again")
     angles, begin, turns = np.asarray(model.angles), 0.0, tuple(int(k) for k in orbit.winding)
-    if begun is not None and symmetry.reverses and symmetry.forward is None:
+    if begun is not None and begun[0].shape[1] == orbit.state.size and symmetry.reverses and symmetry.forward is None:
         nodes, period = begun
         constants = symmetry.constants(angles, nodes[0], turns=turns) / np.pi
         form = Formulation(symmetry, n, len(nodes), tuple(map(round, constants)), turns, bool(model.invariants))

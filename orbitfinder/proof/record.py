@@ -143,10 +143,15 @@ class Recorded:
 def options_of(recorded: Mapping[str, Any]) -> Options:
     """The options that a recorded proof was made with. Raises `InputError`."""
     known = read_as(Recorded, recorded, "proof: malformed entry", "prove the orbit again")
+    if known.proved and not known.enclosure_radius <= known.box_radius:
+        raise InputError(
+            f"proof.box_radius: {known.box_radius:g} is less than proof.enclosure_radius {known.enclosure_radius:g}, "
+            "so that the box need not hold the orbit; prove the orbit again"
+        )
     chosen: dict[str, Any] = {"symmetry": known.symmetry, "segments": known.segments, "phase": known.phase % 1.0}
     with suppress(KeyError, TypeError, ValueError):
         nodes = np.array([[float(ball["value"]) for ball in node] for node in recorded["nodes"]])
-        if nodes.shape == (known.segments, nodes.size // known.segments) and np.all(np.isfinite(nodes)):
+        if nodes.ndim == 2 and len(nodes) == known.segments and np.all(np.isfinite(nodes)):
             chosen["begun"] = nodes, float(recorded["period"]["value"])
     return checked(Options(known.order, known.bits, known.tolerance, **chosen))
 

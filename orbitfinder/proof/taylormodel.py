@@ -116,16 +116,16 @@ def _hull(x: Any) -> Any:
 
 
 def _exp(m: Beyond, w: int, u: int, *_: Any) -> Any:
-    """W = e^U (1 + g) with g' = -t^{p-1} D e^-U, D the tail of U' W."""
+    """W = e^U (1 + g) with g' = -t^{p-1} D e^-U, D the tail of U' W; of r_u, e^ is taken elsewhere than of g."""
     span = m.range(u)
-    growth = _hull(m.steep(w, u) * (-span).exp()) / m.order
-    return span.exp() * (growth + m.rest[u])
+    whole, growth = span.exp(), _hull(m.steep(w, u) * (-span).exp()) / m.order
+    return whole * growth + whole * m.rest[u]
 
 
 def _log(m: Beyond, w: int, u: int, *_: Any) -> Any:
     """(log U - W)' = t^{p-1} D / U, D minus the tail of U W'... of which log(U + t^p r_u) differs by r_u / U."""
     span = m.range(u)
-    return (m.rest[u] - _hull(m.steep(u, w)) / m.order) / span if span > 0 else arb("nan")
+    return m.rest[u] / span - _hull(m.steep(u, w)) / m.order / span if span > 0 else arb("nan")
 
 
 def _power(m: Beyond, w: int, u: int, _v: int, c: Any) -> Any:
