@@ -19,23 +19,29 @@ Sources: B. Bentvelsen, A. Lazarus, Nonlinear Dyn. 91 (2018) 1349-1370; A. Nayfe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh, splu
 
+from orbitfinder._runtime import limit
+from orbitfinder._runtime.sizes import relative
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.collocation import tableau
+from orbitfinder.integrate.evaluate import one_thread
+from orbitfinder.loops.symmetry import symplectic
 from orbitfinder.orbits.decay import Beside, decay, extreme
-from orbitfinder.orbits.floquet import reduce_monodromy
+from orbitfinder.orbits.floquet import Floquet, judged, reduce_monodromy
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
-from orbitfinder.orbits.implicit import SMALL
+from orbitfinder.orbits.implicit import SMALL, STAGES, Variations, truncated
 
 SOUGHT, MOST_SOUGHT, VECTORS, CONVERGED = 2, 24, 14, 1e-5
 """Exponents about a shift, at first and at most, vectors that they are sought in, their relative error"""
-STEP, MOST_STEPS = 0.5, 4096
-"""Steps of a march for all exponents, in units of the fastest motion, and the most that there may be"""
+STEP, SPARSE, MOST_STEPS = 0.5, 1.0, 4096
+"""Steps of a march for all exponents, in units of the fastest motion, of free motions, and how many at most"""
+INSTANTS, EVEN = 8, 1e-11
+"""At which the fastest motion is looked for; share of a motion's largest coefficient that is none"""
 ALIKE, ROUND_OFF = 1e-7, 1e-8
 """Exponents nearer than this are the same. Real parts below it are none"""
 MARGIN, NEARBY, MOST_SHIFTS = 2.0, 0.05, 8
@@ -53,10 +59,17 @@ class Exponents:
     values: np.ndarray
     rest: float
     why: str = ""
+    whole: Floquet | None = None
+    """where all are known"""
+    root: int = 1
+    indices: np.ndarray = field(default_factory=lambda: np.zeros(0, complex))
+    """of free motions, of the map whose power `root` the monodromy is"""
 
     @property
     def multipliers(self) -> np.ndarray:
         """e^(2 pi s), each with its conjugate."""
+        if self.whole is not None:
+            return self.whole.multipliers
         picked = np.exp(2 * np.pi * self.values)
         pairs = self.values[(self.values.imag > ALIKE) & (np.abs(self.values.imag % 0.5 - 0.25) < 0.25 - ALIKE)]
         return picked if np.any(self.values.imag < -ALIKE) else np.append(picked, np.exp(2 * np.pi * pairs.conj()))
@@ -64,6 +77,8 @@ class Exponents:
     @property
     def stability(self) -> str:
         """In the words of other orbits, or that it is undecided."""
+        if self.whole is not None:
+            return self.whole.stability
         worst = float(self.values.real.max(initial=-np.inf))
         if worst > ROUND_OFF:
             return "unstable"
@@ -75,16 +90,24 @@ class Exponents:
 def exponents(problem: Balanced, w: Coefficients) -> Exponents:
     """Those of a motion, remembered with it. Raises `ConvergenceError` where Arnoldi's method finds none."""
     if "exponents" not in w.known:
-        whole = monodromy(problem, w) if problem.equations.size <= SMALL else None
-        if whole is None:
-            w.known["exponents"] = _few(problem, w)
-        else:
-            if not problem.equations.names:
-                whole = _without_trivial(problem, w, whole)
-            with np.errstate(divide="ignore"):
-                picked = np.log(np.linalg.eigvals(whole).astype(complex)) / (2 * np.pi)
-            w.known["exponents"] = Exponents(picked[np.argsort(-picked.real)], -np.inf)
+        w.known["exponents"] = _all(problem, w) or _few(problem, w)
     return w.known["exponents"]  # type: ignore[no-any-return]
+
+
+def _all(problem: Balanced, w: Coefficients) -> Exponents | None:
+    """Those of few coordinates that are not stiff, and of free motions of more."""
+    size, (whole, power, error) = problem.equations.size, (None, 1, 0.0)
+    if problem.equations.names:
+        whole = monodromy(problem, w) if size <= SMALL else None
+    elif size <= MOST_MODES:
+        whole, power, error = _reduced(problem, w)
+    if whole is None:
+        return None
+    multipliers, keeps = np.linalg.eigvals(whole).astype(complex), symplectic(problem.equations.model)
+    about, root = judged(multipliers**power, keeps, error), judged(multipliers, keeps)
+    with np.errstate(divide="ignore"):
+        picked = np.log(about.multipliers) / (2 * np.pi)
+    return Exponents(picked[np.argsort(-picked.real)], -np.inf, "", about, power, root.indices.astype(complex))
 
 
 def proved(problem: Balanced, w: Coefficients) -> bool:
@@ -92,12 +115,56 @@ def proved(problem: Balanced, w: Coefficients) -> bool:
     return problem.equations.size > MOST_MODES and not exponents(problem, w).values.size
 
 
-def _without_trivial(problem: Balanced, w: Coefficients, whole: np.ndarray) -> np.ndarray:
-    """The monodromy of a free motion on its level of energy, modulo its own direction."""
+def _trivial(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarray]:
+    """The gradient of the energy and the direction of a free motion (1 x 2n each), over (u, u')."""
     motion, equations = problem.basis.motion(problem.coefficients(w), np.zeros(1)), problem.equations
     pace = np.repeat([1.0, equations.pace(problem.values(w))], equations.size)
-    state, along = (pace * np.concatenate(pair)[:, 0] for pair in (motion[:2], motion[1:]))
-    return reduce_monodromy(whole, (pace * equations.at_start(equations.level, state)[1])[None], (along / pace)[None])
+    state, along = (np.concatenate(pair)[:, 0] for pair in (motion[:2], motion[1:]))
+    return (pace * equations.at_start(equations.level, pace * state)[1])[None], along[None]
+
+
+@one_thread()
+def _reduced(problem: Balanced, w: Coefficients) -> tuple[np.ndarray | None, int, float]:
+    """A root of the monodromy of a free motion of many coordinates on its level of energy, modulo its own direction, of
+    which power that is, and what it is known to; None where too many steps would be needed.
+
+    Sparse steps go over half a period where G is odd, as Phi = (-Phi(pi))^2, and over half of that where the motion is
+    even about 0, as then, with P = diag(1, -1), Phi over the whole is P A^-1 P A.
+    """
+    equations, basis, values = problem.equations, problem.basis, problem.values(w)
+    linear, n, coefficients = Variations(equations), equations.size, problem.coefficients(w)
+    fixed = np.broadcast_to(equations.fixed(values)[:, None], (len(equations.steady), STAGES))
+
+    def slopes(times: np.ndarray) -> np.ndarray:
+        varying = equations.over(times, basis.motion(coefficients, times), values)[1]
+        return np.concatenate([varying, fixed[:, : times.size]])
+
+    odd, sines = 0 not in basis.orders, [place + 1 for k, place in zip(basis.orders, basis.places, strict=True) if k]
+    even = equations.model.gyroscopic is None and bool(
+        np.abs(coefficients[:, sines]).max() <= EVEN * np.abs(coefficients).max()
+    )
+    length = 2 * np.pi / (1 + odd) / (1 + even)
+    instants = np.split(np.linspace(0.0, length, INSTANTS), INSTANTS)
+    fastest = max(max(basis.orders), *(linear.fastest(slopes(each)[:, 0]) for each in instants))
+    steps = int(np.ceil(fastest * length / SPARSE))
+    if steps > MOST_STEPS * length / (2 * np.pi):
+        return None, 1, 0.0
+    h, gone = length / steps, np.eye(2 * n) - 1.0 / n  # a reflection, and nothing in it is 0
+    for k in range(steps):
+        limit.check()
+        gone = linear.over(h, slopes(h * (k + linear.rule.points)), gone)
+    masses = linear.matrix(slopes(np.zeros(1))[:, 0] * (linear.table[:, 2] == 2)).diagonal()
+    units = np.concatenate([masses**-0.5, masses**-0.5 * fastest**0.5])
+    root = (gone - gone.sum(axis=1, keepdims=True) / n) * units / units[:, None]
+    if even:
+        back = np.repeat([1.0, -1.0], n)[:, None]
+        root = back * np.linalg.solve(root, back * root)
+    root = -root if odd else root
+    gradient, along = _trivial(problem, w)
+    gradient, along = gradient * units, along / units
+    lost = (relative(root @ along[0] - along[0], along[0]), relative(gradient[0] @ root - gradient[0], gradient[0]))
+    off = (1 + even) * truncated(fastest * length, steps)
+    return reduce_monodromy(root, gradient, along), 1 + odd, (1 + odd) * max(off, *lost)
 
 
 def nearest(problem: Balanced, w: Coefficients) -> complex:
@@ -109,7 +176,10 @@ def nearest(problem: Balanced, w: Coefficients) -> complex:
 def _few(problem: Balanced, w: Coefficients) -> Exponents:
     """Those near what may grow."""
     if not problem.equations.names:
-        return Exponents(np.zeros(0, complex), np.inf, "nothing damps it, and averaging of first order bounds nothing")
+        why = f"all multipliers would take more than {MOST_STEPS} steps of its fastest mode"
+        if problem.equations.size > MOST_MODES:
+            why = f"it has more than {MOST_MODES} coordinates"
+        return Exponents(np.zeros(0, complex), np.inf, f"nothing damps it, and {why}")
     many = problem.equations.size > MOST_MODES
     why = ""
     if many:
