@@ -120,10 +120,17 @@ def _conservative_verdict(indices: np.ndarray, defects: np.ndarray, known: float
     sizes = np.abs(indices)
     error = ERROR_FACTOR * float((defects * np.minimum(sizes, 4.0 / nonzero(sizes))).max(initial=0.0))
     error = max(error, ERROR_FACTOR * known, ERROR_FLOOR)
-    outside = np.where(np.abs(indices.imag) > error, np.abs(indices.imag), np.abs(indices.real) - 2.0)
-    if np.any(outside > error):
+    out = outside(indices, error)
+    if np.any(out > error):
         return "unstable"
-    return "marginal" if np.any(outside > -error) else "elliptic"
+    return "marginal" if np.any(out > -error) else "elliptic"
+
+
+def outside(indices: np.ndarray, error: float = ERROR_FLOOR) -> np.ndarray:
+    """How far each index is out of the real numbers from -2 to 2, negative within: off the axis by more than an error,
+    or along it."""
+    off = np.abs(indices.imag)
+    return np.asarray(np.where(off > error, off, np.abs(indices.real) - 2.0))
 
 
 def verdict(multipliers: np.ndarray, errors: np.ndarray | float = 0.0) -> str:
