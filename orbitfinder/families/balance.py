@@ -512,8 +512,8 @@ def _assembled(own: Any, runs: Sequence[_Direction], source: Mapping[str, Any]) 
             for k, point in enumerate(points)
         ]
     for before, after in pairwise(range(len(points))) if isinstance(own, _Large) else ():
-        a, b = points[before].indices, points[after].indices
-        points[after] = replace(points[after], indices=b[matching(a, b)] if a.shape == b.shape else b)
+        indices = points[after].indices
+        points[after] = replace(points[after], indices=indices[matching(points[before].indices, indices)])
     system, entry = dict(own.problem.model.system), own.entry
     points = [situated(point, k, own.name, system, entry) for k, point in enumerate(points)]
     lengths = [point.arclength for point in points]

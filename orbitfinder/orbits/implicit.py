@@ -42,11 +42,10 @@ STAGES, STEPS, PIECES = 6, 64, 16
 SETTLED, MOST, SLOW, SLOWER = 1e-15, 60, 0.7, 0.15
 """Change of the coordinates, in extents, after which an iteration has ended; its steps at most; what a step leaves that
 no longer contracts, or that asks for new factors"""
-RESOLVED, POWERS, FINEST, FREE, SMALL = 1.5, 30, 512, 4096, 40
+RESOLVED, POWERS, FINEST, FREE, SMALL, ERROR = 1.5, 30, 512, 4096, 40, 1.74e-13
 """Radians of the fastest mode in a step, iterations that find it, the most steps that follow it, of driven motions and
-of others; coordinates up to which motions are certified by explicit steps and all their variations"""
-ERROR = 1.74e-13
-"""A step of z radians is off by this times z^13: 6!^2 / 12! 13!"""
+of others; coordinates up to which motions are certified by explicit steps and all their variations; a step of z radians
+is off by this times z^13: 6!^2 / 12! 13!"""
 TOLD, HIGHEST = 1e-10, 48
 """Share of the largest harmonic of a motion that is none; as many as an energy is asked of"""
 
