@@ -432,7 +432,8 @@ def scalar_traces(count, amplitude):
 
 @pytest.mark.parametrize(("amplitude", "told"), [(0.22, "elliptic"), (0.3, "unstable")])
 def test_all_multipliers_of_a_free_mode_of_41_masses_are_known(amplitude, told, monkeypatch):
-    """By scalar equations of another integrator, to 1e-10; where too many steps would be needed nothing is claimed."""
+    """By scalar equations of another integrator, to 1e-10; where too many steps would be needed those that grow are, by
+    Hill's matrix, and else nothing is claimed."""
     point = begun(row(41, 21, amplitude), "")
     traces, period = scalar_traces(41, amplitude)
     about = exponents(point.problem, point.w)
@@ -442,15 +443,16 @@ def test_all_multipliers_of_a_free_mode_of_41_masses_are_known(amplitude, told, 
     assert (about.root, about.multipliers.size) == (2, 80)
     monkeypatch.setattr(hill, "MOST_STEPS", 8)
     point.w.known.pop("exponents")
-    few = exponents(point.problem, point.w)
-    assert (few.stability, few.multipliers.size) == ("undecided", 0)
-    assert few.why == "nothing damps it, and all multipliers would take more than 8 steps of its fastest mode"
+    few, grows = exponents(point.problem, point.w), np.abs(np.abs(about.multipliers) - 1) > 1e-6
+    assert np.sort_complex(few.multipliers) == pytest.approx(np.sort_complex(about.multipliers[grows]), abs=1e-8)
+    assert few.stability == ("unstable" if told == "unstable" else "undecided")
+    assert few.why == ("" if told == "unstable" else "nothing damps it; its modes ask for over 8 steps")
 
 
 @pytest.mark.slow
 def test_a_free_mode_of_twelve_masses_is_that_of_shooting():
     """All multipliers by three ways to 1e-8, in reciprocal pairs, of a stable and of an unstable motion."""
-    for mode, amplitude, told in ((1, 0.05, "elliptic"), (12, 0.15, "unstable")):
+    for mode, amplitude, told in ((1, 0.05, "elliptic"), (3, 1.0, "unstable")):
         problem = row(12, mode, amplitude)
         one = of.find_orbit(problem)
         other = of.find_orbit(replace(problem, guess=of.Guess(one.state, one.period), method=None))

@@ -2,8 +2,8 @@
 
 Up to `SMALL` coordinates that are not stiff, the equations of shooting stand beside those of balance: an orbit's nodes
 are the series' states, and multipliers, closure, events with their checks and error bars are read as of any family, by
-a march. Of more coordinates multipliers are Hill's, as few as it takes (`orbits.hill`), closure is by implicit steps,
-and folds and changes of stability are located in harmonics.
+a march. Of more coordinates multipliers are Hill's, as few as it takes, or all of a free motion (`orbits.hill`);
+closure is by implicit steps, and folds and changes of stability are located in harmonics.
 """
 
 from __future__ import annotations
@@ -304,7 +304,7 @@ class _Large:
         point = kept.point
         balanced, value, (free, period) = point.problem, point.value(self.parameter), freed(point)
         about = exponents(balanced, point.w)
-        if not about.values.size:
+        if not about.values.size or (not balanced.equations.names and about.whole is None):
             return None
         turns = KINDS[kept.role].extremal if kept.role in KINDS else False
         critical = about.values[np.argmin(np.abs(about.values if turns else about.values.real))]

@@ -9,10 +9,12 @@ and Arnoldi's method finds the largest mu, a sparse factorisation a shift. Which
 order of averaging: with frequencies w_i, rates of decay g_i and modes of the mean matrices, the k-th harmonic K of the
 stiffness couples two modes by c = K_ij / 2 sqrt(w_i w_j), and where they are d = w_i + w_j - k off a resonance they
 grow by Re sqrt(((g_i - g_j + i d) / 2)^2 + c^2) - (g_i + g_j) / 2. With twice the c, pairs that grow are looked for,
-and what all others do at most bounds the `rest`: a bound of first order, by a factor of two. Of more coordinates than
-all modes are known of, the energy of `orbits.decay` is asked first; where it does not tell, slow modes are looked at:
-with kappa the size of K_k beside the mean K, c <= kappa sqrt(w_i w_j) / 2, so w_i + w_j <= k / (1 - kappa / 4 q) where
-a pair grows, q the least sqrt(g_i g_j) / (g_i + g_j), and none where kappa k / 4 is below all rates of decay.
+and what all others do at most bounds the `rest`: a bound of first order, by a factor of two. Of free motions, which
+nothing damps, all multipliers are computed by sparse steps of Gauss' method over the series, and where that is too much
+only those that grow are looked for. Of more coordinates than all modes are known of, the energy of `orbits.decay` is
+asked first; where it does not tell, slow modes are looked at: with kappa the size of K_k beside the mean K, c <= kappa
+sqrt(w_i w_j) / 2, so w_i + w_j <= k / (1 - kappa / 4 q) where a pair grows, q the least sqrt(g_i g_j) / (g_i + g_j),
+and none where kappa k / 4 is below all rates of decay.
 Sources: B. Bentvelsen, A. Lazarus, Nonlinear Dyn. 91 (2018) 1349-1370; A. Nayfeh, D. Mook, Nonlinear Oscillations
 (1979), section 5.4.
 """
@@ -40,8 +42,9 @@ SOUGHT, MOST_SOUGHT, VECTORS, CONVERGED = 2, 24, 14, 1e-5
 """Exponents about a shift, at first and at most, vectors that they are sought in, their relative error"""
 STEP, SPARSE, MOST_STEPS = 0.5, 1.0, 4096
 """Steps of a march for all exponents, in units of the fastest motion, of free motions, and how many at most"""
-INSTANTS, EVEN = 8, 1e-11
-"""At which the fastest motion is looked for; share of a motion's largest coefficient that is none"""
+INSTANTS, EVEN, GROWN, PARTNER = 8, 1e-11, 1e-5, 1e-2
+"""At which the fastest motion is looked for; share of a motion's largest coefficient that is none; real parts of
+exponents that grow where nothing damps, and what share of them their partners may be off"""
 ALIKE, ROUND_OFF = 1e-7, 1e-8
 """Exponents nearer than this are the same. Real parts below it are none"""
 MARGIN, NEARBY, MOST_SHIFTS = 2.0, 0.05, 8
@@ -112,7 +115,8 @@ def _all(problem: Balanced, w: Coefficients) -> Exponents | None:
 
 def proved(problem: Balanced, w: Coefficients) -> bool:
     """Whether all that is known of a motion's exponents is that an energy falls."""
-    return problem.equations.size > MOST_MODES and not exponents(problem, w).values.size
+    about = exponents(problem, w)
+    return problem.equations.size > MOST_MODES and not about.values.size and about.rest < 0
 
 
 def _trivial(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarray]:
@@ -174,22 +178,17 @@ def nearest(problem: Balanced, w: Coefficients) -> complex:
 
 
 def _few(problem: Balanced, w: Coefficients) -> Exponents:
-    """Those near what may grow."""
-    if not problem.equations.names:
-        why = f"all multipliers would take more than {MOST_STEPS} steps of its fastest mode"
-        if problem.equations.size > MOST_MODES:
-            why = f"it has more than {MOST_MODES} coordinates"
-        return Exponents(np.zeros(0, complex), np.inf, f"nothing damps it, and {why}")
-    many = problem.equations.size > MOST_MODES
+    """Those near what may grow, of free motions those of them that do."""
+    free, many = not problem.equations.names, problem.equations.size > MOST_MODES
     why = ""
-    if many:
+    if many and not free:
         proof = decay(problem, w)
         if proof.rate > 0:
             return Exponents(np.zeros(0, complex), -proof.rate)
         why = proof.why
     spacing = 1.0 if 0 in problem.basis.orders else 2.0
     suspects, reaches, rest, more = _suspects(problem, w)
-    if more and not many:
+    if more and not many and not free:
         proof = decay(problem, w)
         rest, more, why = (-proof.rate, "", "") if proof.rate > 0 else (np.inf, more, proof.why)
     there = suspects - (spacing - 1.0)  # e^(i f tau) is e^(s tau) times an order, f - 1 is 0 among odd ones
@@ -208,12 +207,28 @@ def _few(problem: Balanced, w: Coefficients) -> Exponents:
             rest, more = np.inf, f"more exponents than {MOST_SOUGHT} lie about {shift:.3g} i"
     if len(places) > MOST_SHIFTS:
         rest, more = np.inf, f"modes at more than {MOST_SHIFTS} frequencies may grow"
+    if free:
+        values, rest = _growing(problem, w, values), np.inf
+        more = f"it has more than {MOST_MODES} coordinates" if many else f"its modes ask for over {MOST_STEPS} steps"
+        why, more = ("", "") if values else ("nothing damps it", more)
     alone: list[complex] = []
     for value in sorted(values, key=lambda s: -s.real):
         there_ = complex(value.real, abs((value.imag + spacing / 2) % spacing - spacing / 2))
         if not any(abs(there_ - other) < ALIKE for other in alone):
             alone.append(there_)
     return Exponents(np.array(alone, complex), rest, "; ".join(filter(None, (why, more))) if np.isinf(rest) else "")
+
+
+def _growing(problem: Balanced, w: Coefficients, values: list[complex]) -> list[complex]:
+    """Those of a free motion that grow, known far better from there, each with its partner that decays as fast."""
+    picked = list[complex]()
+    for value in values:
+        if value.real > GROWN:
+            near = complex(_about(problem, w, value, 1)[0][0])
+            partner = min(abs(other + near.conjugate()) for other in values)
+            if near.real > GROWN and max(partner, abs(near - value)) < PARTNER * near.real:
+                picked += [near, -near.conjugate()]
+    return picked
 
 
 @dataclass(frozen=True)
@@ -226,8 +241,8 @@ class _Modes:
     least: float
 
 
-def _modes(beside: Beside, harmonics: np.ndarray, period: int) -> _Modes | str:
-    """All modes, or of many those slow enough to grow; or why they do not tell."""
+def _modes(beside: Beside, harmonics: np.ndarray, period: int, free: bool) -> _Modes | str:
+    """All modes, or of many those slow enough to grow, of free motions those nearest; or why they do not tell."""
     parts = beside.stiffness, beside.damping, beside.mass
     if beside.shifting or any(abs(part - part.T).max() > SYMMETRIC * abs(part).max() for part in parts):
         return "its matrices are not symmetric, or its masses change"
@@ -236,6 +251,8 @@ def _modes(beside: Beside, harmonics: np.ndarray, period: int) -> _Modes | str:
         return "it has no masses"
     if beside.n <= MOST_MODES:
         squares, shapes = eigh(stiffness.toarray(), mass.toarray())
+    elif free:
+        squares, shapes = eigsh(stiffness, MODES, mass, sigma=1.0, v0=np.ones(beside.n))
     else:
         top, stiff = 0.0, beside.varies[:, 2] == 0
         try:
@@ -258,13 +275,14 @@ def _modes(beside: Beside, harmonics: np.ndarray, period: int) -> _Modes | str:
     if not squares.min() > 0:
         return "it has a mode without stiffness"
     frequencies = np.sqrt(squares)
-    decays = np.einsum("ij,ij->j", shapes, damping @ shapes) / 2
-    if not decays.min() > 0:
+    decays = np.zeros(frequencies.size) if free else np.einsum("ij,ij->j", shapes, damping @ shapes) / 2
+    if not free and not decays.min() > 0:
         return "some of it is not damped"
     slow = decays - np.sqrt(np.maximum(decays**2 - squares, 0.0))
     return _Modes(
-        frequencies, shapes, decays, float(slow.min() if shapes.shape[1] == beside.n else min(slow.min(), slowest))
-    )
+        frequencies, shapes, decays,
+        float(slow.min() if free or shapes.shape[1] == beside.n else min(slow.min(), slowest)),
+    )  # fmt: skip
 
 
 def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarray, float, str]:
@@ -273,7 +291,7 @@ def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarra
     moving, samples = problem.equations.varying, problem.sampled(w)[1]
     harmonics = np.fft.rfft(samples, axis=1) / samples.shape[1]
     period = 1 if 0 in problem.basis.orders else 2
-    seen = _modes(Beside(problem, w), harmonics, period)
+    seen = _modes(Beside(problem, w), harmonics, period, not problem.equations.names)
     if isinstance(seen, str):
         return np.zeros(0), np.zeros(0), np.inf, seen
     frequencies, decays = seen.frequencies, seen.decays
@@ -330,7 +348,7 @@ def _shifted(problem: Balanced, shift: complex) -> list[Pattern]:
     """A, B and C at a shift, kept with the orders."""
     known, basis = problem.pattern.derived, problem.basis
     if shift not in known:
-        unit, moved = np.eye(basis.count), basis.slope + (shift if shift.imag else 0.0) * np.eye(basis.count)
+        unit, moved = np.eye(basis.count), basis.slope + (shift if shift.imag else shift.real) * np.eye(basis.count)
         none = np.zeros_like(unit)
         powers: list[list[np.ndarray]] = [[unit, moved, moved @ moved], [none, unit, 2 * moved], [none, none, unit]]
         known[shift] = [Pattern(problem.equations, basis, each) for each in powers]
