@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy import sparse
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq, linear_sum_assignment
 from scipy.special import ellipk
 
 import orbitfinder as of
@@ -16,7 +18,7 @@ from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.families.members import extents
 from orbitfinder.families.verified import verified
 from orbitfinder.mechanics.kind import with_parameters
-from orbitfinder.orbits import hill
+from orbitfinder.orbits import hill, implicit
 from orbitfinder.orbits.balance import begun, states_of
 from orbitfinder.orbits.decay import decay
 from orbitfinder.orbits.hill import exponents, monodromy
@@ -399,17 +401,111 @@ def test_a_backbone_is_near_the_free_motions():
     assert off[1] / off[0] == pytest.approx(4.0, rel=0.3)
 
 
+def row(count, mode, amplitude):
+    """A mode of masses between walls, springs of force d + d^3, with an amplitude of the first mass."""
+    rows = sparse.diags_array([-np.ones(count - 1), 2 * np.ones(count), -np.ones(count - 1)], offsets=[-1, 0, 1])
+    springs = {f"s{i}": {"kind": "cubic", "at": f"q{i}", "to": f"q{i - 1}", "stiffness": 1.0}
+               for i in range(2, count + 1)}  # fmt: skip
+    springs |= {at: {"kind": "cubic", "at": at, "stiffness": 1.0} for at in ("q1", f"q{count}")}
+    model = of.structure(sparse.eye_array(count), None, rows, springs)
+    shape = np.sin(np.pi * mode / (count + 1))
+    guess = of.guesses.normal_mode(model, mode, amplitude / shape)
+    return of.Problem(model, guess, of.pin(q1=amplitude), name="row", method="balance")
+
+
+def scalar_traces(count, amplitude):
+    """Of the middle mode of an odd number: it is a of a'' + 2 a + 2 a^3 = 0 in every other mass, and beside it each
+    other linear mode alone moves by b'' + w^2 (1 + 3 a^2) b = 0; the traces of their monodromies, and the period."""
+    modes = np.delete(np.arange(1, count + 1), count // 2)
+    squares = 4 * np.sin(np.pi * modes / (2 * count + 2)) ** 2
+    period = free_duffing_period(amplitude) / np.sqrt(2)
+
+    def rates(_, y):
+        (a, v), (b, c) = y[:2], y[2:].reshape(2, -1)
+        return np.concatenate([[v, -2 * a - 2 * a**3], c, -np.tile(squares, 2) * (1 + 3 * a**2) * b])
+
+    unit = np.repeat([1.0, 0.0, 0.0, 1.0], modes.size)
+    answer = solve_ivp(rates, (0, period), [amplitude, 0, *unit], method="DOP853", rtol=1e-12, atol=1e-14).y[2:, -1]
+    first, _, _, last = answer.reshape(4, -1)
+    return first + last, period
+
+
+@pytest.mark.parametrize(("amplitude", "told"), [(0.22, "elliptic"), (0.3, "unstable")])
+def test_all_multipliers_of_a_free_mode_of_41_masses_are_known(amplitude, told, monkeypatch):
+    """By scalar equations of another integrator, to 1e-10; where too many steps would be needed those that grow are, by
+    Hill's matrix, and else nothing is claimed."""
+    point = begun(row(41, 21, amplitude), "")
+    traces, period = scalar_traces(41, amplitude)
+    about = exponents(point.problem, point.w)
+    assert 2 * np.pi / point.w.vector[-1] == pytest.approx(period, rel=1e-13)
+    assert np.sort(about.whole.indices.real) == pytest.approx(np.sort(traces), abs=1e-10)
+    assert about.stability == told == ("unstable" if traces.max() > 2 else "elliptic")
+    assert (about.root, about.multipliers.size) == (2, 80)
+    monkeypatch.setattr(hill, "MOST_STEPS", 8)
+    point.w.known.pop("exponents")
+    few, grows = exponents(point.problem, point.w), np.abs(np.abs(about.multipliers) - 1) > 1e-6
+    assert np.sort_complex(few.multipliers) == pytest.approx(np.sort_complex(about.multipliers[grows]), abs=1e-8)
+    assert few.stability == ("unstable" if told == "unstable" else "undecided")
+    assert few.why == ("" if told == "unstable" else "nothing damps it; its modes ask for over 8 steps")
+
+
 @pytest.mark.slow
-def test_a_mode_of_many_coordinates_is_certified():
-    """41 masses, of whose multipliers nothing is claimed: the certificate's own integrator closes it."""
-    problem = masses(41, 0.1, damping=0.0)
-    model = of.structure(*(problem.model.system[name] for name in ("mass",)), None, problem.model.system["stiffness"],
-                         problem.model.system["elements"], parameters={"cubic": 0.1})  # fmt: skip
-    problem = of.Problem(model, of.guesses.normal_mode(model, 1, 2.0), of.pin(q20=2.0), name="mode")
-    orbit = of.find_orbit(problem, BALANCE)
-    assert orbit.certificate.passed, orbit.certificate.failures
-    assert orbit.stability == "undecided" and "averaging" in orbit.provenance["undecided"]
-    assert orbit.state[19] == pytest.approx(2.0, rel=1e-12)
+def test_a_free_mode_of_twelve_masses_is_that_of_shooting():
+    """All multipliers by three ways to 1e-8, in reciprocal pairs, of a stable and of an unstable motion."""
+    for mode, amplitude, told in ((1, 0.05, "elliptic"), (3, 1.0, "unstable")):
+        problem = row(12, mode, amplitude)
+        one = of.find_orbit(problem)
+        other = of.find_orbit(replace(problem, guess=of.Guess(one.state, one.period), method=None))
+        point = begun(problem, "")
+        states = states_of(point, np.zeros(1))[0]
+        third = gathered(problem.model, states, one.period)[0].floquet
+        assert one.certificate.passed and one.stability == other.stability == third.stability == told
+        for floquet in (other.floquet_multipliers, third.multipliers):
+            gaps = np.abs(one.floquet_multipliers[:, None] - floquet)
+            assert gaps[linear_sum_assignment(gaps)].max() < 1e-8
+        gaps = np.abs(one.floquet_multipliers[:, None] * one.floquet_multipliers - 1)
+        assert gaps.min(axis=1).max() < 1e-9
+
+
+@pytest.mark.slow
+def test_a_mode_of_many_coordinates_loses_its_stability_where_it_must(monkeypatch):
+    """By the problem file of 41 masses: the amplitude to 1e-10 of the scalar equations', certified; wrong verdicts and
+    events are rejected, and so is a verdict of a certificate whose steps do not follow the fastest mode."""
+    problem = of.load_problem(Path("problems/structures/row-41.toml"))
+    family = of.follow_family(problem, "q1", until=0.35)
+    branch, change = family.events
+    exact = brentq(lambda amplitude: scalar_traces(41, amplitude)[0].max() - 2, 0.2, 0.3, xtol=1e-12)
+    assert (branch.kind, change.kind, change.detail) == ("branch_point", "stability_change", "becomes unstable")
+    assert branch.parameter == pytest.approx(exact, abs=1e-10)
+    assert branch.certified
+    assert all(point.stability == ("elliptic" if point.value < exact else "unstable") for point in family.points)
+    assert all(check.passed for _, check in verified(family, problem.model))
+    wrong = replace(family, events=(replace(branch, multiplier=1j),))
+    assert [check.name for _, check in verified(wrong, problem.model) if not check.passed] == ["branch_point"]
+    first, last = family.points[0], family.points[-1]
+    assert of.certify(last).passed
+    for point, claimed in ((first, "unstable"), (last, "elliptic")):
+        assert of.certify(replace(point, stability=claimed)).failures == ("stability",)
+    monkeypatch.setattr(implicit, "FREE", 4)
+    assert "stability" in of.certify(first).failures
+    assert "stability" not in of.certify(last).failures
+
+
+@pytest.mark.slow
+def test_pairs_of_many_coordinates_that_meet_are_located():
+    """Two pairs of the second mode of 41 masses meet and leave the circle: between orbits of both verdicts, by balance
+    and by the certificate's steps, that are near."""
+    problem = row(41, 2, 0.02)
+    family = of.follow_family(problem, "energy", until=0.05)
+    (meeting,) = [event for event in family.events if event.kind == "collision"]
+    assert all(check.passed for _, check in verified(family, problem.model))
+    for aside, told in ((-1e-4, "elliptic"), (1e-4, "unstable")):
+        near = replace(problem, pin=of.pin(energy=meeting.parameter * (1 + aside)),
+                       guess=of.Guess(meeting.state, meeting.period))  # fmt: skip
+        point = begun(near, "")
+        assert exponents(point.problem, point.w).stability == told
+        seen = gathered(problem.model, states_of(point, np.zeros(1))[0], 2 * np.pi / point.w.vector[-1])[0]
+        assert seen.floquet.stability == told
 
 
 @pytest.mark.slow

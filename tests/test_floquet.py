@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orbitfinder.orbits.floquet import analyse, reciprocal_pairs, reduce_monodromy, verdict
+from orbitfinder.orbits.floquet import analyse, judged, reciprocal_pairs, reduce_monodromy, verdict
 
 E = np.exp
 
@@ -133,6 +133,9 @@ def test_an_index_within_its_error_bar_is_marginal():
     mu = 1.0226
     assert analyse(np.diag([mu, 1 / mu])).stability == "unstable"
     assert analyse(np.diag([mu, 1.001 / mu])).stability == "marginal"
+    assert analyse(np.diag([mu, 1 / mu]), error=1e-4).stability == "marginal"
+    told = [judged(np.array([e, 1 / e]), error=np.inf).stability for e in (E(1j), mu)]
+    assert told == ["undecided", "unstable"]  # where nothing resolves the fastest
 
 
 @pytest.mark.parametrize(("largest", "said"), [(0.9, "asymptotically stable"), (1.1, "unstable"), (-1.0, "marginal")])

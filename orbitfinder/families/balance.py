@@ -2,8 +2,8 @@
 
 Up to `SMALL` coordinates that are not stiff, the equations of shooting stand beside those of balance: an orbit's nodes
 are the series' states, and multipliers, closure, events with their checks and error bars are read as of any family, by
-a march. Of more coordinates multipliers are Hill's, as few as it takes (`orbits.hill`), closure is by implicit steps,
-and folds and changes of stability are located in harmonics.
+a march. Of more coordinates multipliers are Hill's, as few as it takes, or all of a free motion (`orbits.hill`);
+closure is by implicit steps, and folds and changes of stability are located in harmonics.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Protocol
@@ -37,6 +38,7 @@ from orbitfinder.families.members import batch_certified, certified, series
 from orbitfinder.families.point import FamilySettings, make_point
 from orbitfinder.families.registry import end_kind
 from orbitfinder.families.run import Sample, ahead, make_interval, make_sample
+from orbitfinder.families.stability import matching
 from orbitfinder.families.start import curve_at, entry_of
 from orbitfinder.families.verified import checked
 from orbitfinder.integrate.march import uniform
@@ -53,8 +55,9 @@ from orbitfinder.orbits.balance import NAME, begun, freed, refused, samples_of, 
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.closure import LARGEST_SCALE
 from orbitfinder.orbits.evidence import ClosureCheck
+from orbitfinder.orbits.floquet import outside
 from orbitfinder.orbits.harmonics import Balanced
-from orbitfinder.orbits.hill import exponents, monodromy, proved
+from orbitfinder.orbits.hill import Exponents, exponents, monodromy, proved
 from orbitfinder.orbits.implicit import SMALL, ImplicitCheck, gathered
 from orbitfinder.orbits.measure import action
 from orbitfinder.records.certificate import Check, at_most
@@ -79,9 +82,9 @@ from orbitfinder.records.orbit import system_at
 
 NODES, STEPS = 16, 256
 """States at equal times that shooting stands on, and its steps of a period at least"""
-ZERO, AGAIN, SAMPLED, ROUNDED, VANISHED = 1e-6, 1e-5, 64, 1e-12, 1e-2
+ZERO, AGAIN, SAMPLED, ROUNDED, VANISHED, TURNED = 1e-6, 1e-5, 64, 1e-12, 1e-2, 1e-4
 """An exponent that is 0 at an event is as near to it, what is verified of it again as this; states that units are taken
-from; relative error of a number; share of the first free motion that comes to rest"""
+from; relative error of a number; share of the first free motion that comes to rest, of a rise that is none"""
 
 
 def followed(
@@ -249,7 +252,8 @@ class _Large:
             certificate = certify(record, with_parameters(self.model, record.free))
             self.grown, self._first = certificate.scale, (record.state, certificate.passed)
         still = [0] * self.model.degrees_of_freedom
-        self.entry: dict[str, Any] = {"method": NAME, "winding": still, "cycles": problem.forcing_cycles}
+        self.entry: dict[str, Any] = {"method": NAME, "winding": still}
+        self.entry |= {"cycles": problem.forcing_cycles} if problem.model.forced else {}
 
     def tests(self) -> Mapping[str, Callable[[Point], float]]:
         return {"fold": lambda point: rise(point, self.parameter), "change": changing} if self.settings.events else {}
@@ -267,8 +271,9 @@ class _Large:
             nodes=states[:1], times=none, samples=np.zeros((0, states.shape[1])), tolerance=CLOSURE, value=value,
             state=states[0], period=period, energy=energy(model, states[0]),
             action=action(model, mesh * period, states), closure=closure, defect=closure, scale=self.grown,
-            floquet_multipliers=about.multipliers, pair_defect=0.0, multiplier_method=MULTIPLIERS[-1],
-            stability=about.stability, krein=(), root=1, indices=none.astype(complex), symmetry=NONE.name,
+            floquet_multipliers=about.multipliers, pair_defect=about.whole.pair_defect if about.whole else 0.0,
+            multiplier_method=MULTIPLIERS[0 if about.whole else -1], stability=about.stability, krein=(),
+            root=about.root, indices=about.indices, symmetry=NONE.name,
             unfolding=(), free=free, shooting_nodes=nodes, mesh=shares, tangent=heading(point),
             watch=numbers(self.watch, mesh * period, states, dict(zip(model.parameter_names, model.parameter_values,
                                                                       strict=True))), **where,
@@ -299,7 +304,7 @@ class _Large:
         point = kept.point
         balanced, value, (free, period) = point.problem, point.value(self.parameter), freed(point)
         about = exponents(balanced, point.w)
-        if not about.values.size:
+        if not about.values.size or (not balanced.equations.names and about.whole is None):
             return None
         turns = KINDS[kept.role].extremal if kept.role in KINDS else False
         critical = about.values[np.argmin(np.abs(about.values if turns else about.values.real))]
@@ -307,7 +312,12 @@ class _Large:
         other = "branch_point" if turned < ZERO else "period_doubling" if turned > 0.5 - ZERO else "torus"
         off, known = abs(critical) if turns else abs(critical.real), abs(changing(after) - changing(before))
         step = abs(after.value(self.parameter) - before.value(self.parameter))
-        error = balanced.known(point.w) if turns else step * (off + 0.01 * ZERO) / max(known, ZERO)
+        if free_motion := not balanced.equations.names:
+            other, critical, off = meeting(about, turns)
+            rises = [abs(rise(each, self.parameter)) for each in (point, before, after)]
+            if not turns and rises[0] < TURNED * max(rises[1:]):  # at a fold, which is an event of its own
+                return None
+        error = balanced.known(point.w) if turns and not free_motion else step * (off + 0.01 * ZERO) / max(known, ZERO)
         if off > ZERO:
             return None
         nodes = states_of(point, np.linspace(0.0, 1.0, nodes_of(point) + 1))[:-1]
@@ -372,27 +382,48 @@ def _again(family: Family, check: ImplicitCheck, event: Event) -> Check:
     the parameter rests; elsewhere a multiplier of its own is recomputed on the unit circle."""
     try:
         model = with_parameters(check.model, event.free)
-        turns = abs(event.multiplier - 1.0) <= AGAIN and (KINDS[event.kind].extremal or KINDS[event.kind].verdict)
+        kind, mu = KINDS[event.kind], event.multiplier
+        turns = model.forced and abs(mu - 1.0) <= AGAIN and (kind.extremal or kind.verdict)
         seen = None if turns else gathered(model, event.state, event.period)[0]
         states = series(event.shooting_nodes, SAMPLED)
         units = extents_of(model, states, event.period)
         closure = check(event.state, event.period, event.free, units)
         if not closure <= CLOSURE * family.points[0].scale:
             raise ConvergenceError(f"its orbit closes only to {closure:.2g}")
-        if abs(event.period / check.period(event.free) - 1.0) > ROUNDED:
+        if model.forced and abs(event.period / check.period(event.free) - 1.0) > ROUNDED:
             raise ConvergenceError(f"its period is not that of the drive at {family.parameter} {event.parameter:.12g}")
         if seen is None:
             off = check.kept(event.state, event.period, event.free, units, event.tangent[: units.size])
-        else:
-            off = float(np.abs(seen.floquet.multipliers - event.multiplier).min()) + abs(abs(event.multiplier) - 1.0)
+        elif model.forced:
+            off = float(np.abs(seen.floquet.multipliers - mu).min()) + abs(abs(mu) - 1.0)
+        else:  # where it may meet its reciprocal their sum is known, of two pairs that meet the product of both gaps
+            first, second = np.sort(np.abs(seen.floquet.indices - mu - 1.0 / mu))[:2]
+            off = float(first if abs(mu.imag) <= AGAIN else first * second) + abs(abs(mu) - 1.0)
     except (ConvergenceError, IntegrationError, IndexError, ValueError) as error:
         return unsound(event.kind, error, float("nan"))
     return at_most(event.kind, off, AGAIN, event.detail)
 
 
+def meeting(about: Exponents, turns: bool) -> tuple[str, complex, float]:
+    """What kind of event of free motions there is, at a fold or not, its exponent, and how far the index at 2 or -2, or
+    half the gap of the two that meet, squared, is off."""
+    indices, root = about.indices, about.root
+    edge = indices[np.argmin(np.abs(indices - 2.0)) if turns else np.argmax(outside(indices))]
+    kind, off = "branch_point" if edge.real > 0 or root == 2 else "period_doubling", abs(abs(edge) - 2.0)
+    if off > ZERO and not turns:
+        gaps = np.abs(indices[:, None] - indices) + np.diag(np.full(indices.size, np.inf))
+        kind, off = "collision", 0.25 * float(gaps.min()) ** 2
+        edge = indices[np.argmin(gaps.min(axis=0))]
+    turn = root * np.arccos(np.clip(edge.real / 2, -1.0, 1.0))
+    return kind, complex(0.0, turn / (2 * np.pi)), float(off)
+
+
 def changing(point: Point) -> float:
-    """The largest real part of what exponents may cross the axis elsewhere than at a fold."""
+    """The largest real part of what exponents may cross the axis elsewhere than at a fold; of free motions how far an
+    index is outside of those that are stable."""
     about = exponents(point.problem, point.w)
+    if about.whole is not None and not point.problem.equations.names:
+        return float(outside(about.indices).max(initial=-2.0))
     others = about.values[about.values.imag > 1e-7].real
     return float(others.max(initial=about.rest if np.isfinite(about.rest) else -1.0))
 
@@ -480,6 +511,9 @@ def _assembled(own: Any, runs: Sequence[_Direction], source: Mapping[str, Any]) 
             own.certified(point) if point.role != "step" or k in (0, len(points) - 1) else point
             for k, point in enumerate(points)
         ]
+    for before, after in pairwise(range(len(points))) if isinstance(own, _Large) else ():
+        indices = points[after].indices
+        points[after] = replace(points[after], indices=indices[matching(points[before].indices, indices)])
     system, entry = dict(own.problem.model.system), own.entry
     points = [situated(point, k, own.name, system, entry) for k, point in enumerate(points)]
     lengths = [point.arclength for point in points]

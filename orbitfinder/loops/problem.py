@@ -145,7 +145,7 @@ class Problem(Shown):
         control: how the model's controls vary in time, and at what cost: `of.find_orbit` then finds the motion that
             costs least.
         watch: numbers of each orbit of its family by name (see `of.follow_family`).
-        method: shooting | collocation | balance (of driven motions); None: by a measured stiffness.
+        method: shooting | collocation | balance (of driven and free motions); None: by a measured stiffness.
 
     Raises:
         InputError: for names that the model has not and values that cannot be; the count is checked when it is

@@ -16,12 +16,11 @@ from orbitfinder.integrate.residual import Residual
 from orbitfinder.loops.conditions import PHASE, Pin
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.problem import Guess, Problem, at_forcing_period
-from orbitfinder.loops.symmetry import symplectic
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, Solver, full
 from orbitfinder.mechanics.scales import parameter_sizes
-from orbitfinder.orbits.floquet import Floquet, judged
+from orbitfinder.orbits.floquet import Floquet
 from orbitfinder.orbits.guesses.linear import linear_response
 from orbitfinder.orbits.guesses.settled import lap
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Fourier, Pattern, Phase, orders
@@ -163,9 +162,7 @@ def balanced(problem: Problem, settings: SolveSettings, report: Callback | None,
         report(Progress(f"harmonic balance to order {highest}", 0, 0.0, period, 0.0))
     shares = np.linspace(0.0, 1.0, samples_of(point) + 1)
     states, about = states_of(point, shares), exponents(point.problem, point.w)
-    floquet = Floquet(about.multipliers, 0.0, np.zeros(0), about.stability)
-    if point.problem.equations.size <= SMALL:
-        floquet = judged(about.multipliers, symplectic(model))
+    floquet = about.whole or Floquet(about.multipliers, 0.0, np.zeros(0), about.stability)
     times = shares * period
     orbit = recorded(problem, period, states[0], states[:1], times, states, np.zeros(0), action(model, times, states),
                      floquet)  # fmt: skip

@@ -74,18 +74,19 @@ def complement(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return np.asarray(rows[..., rank:, :].swapaxes(-1, -2))
 
 
-def analyse(reduced: np.ndarray, conservative: bool = True) -> Floquet:
-    """Multipliers, pairs and verdict of a reduced monodromy.
+def analyse(reduced: np.ndarray, conservative: bool = True, error: float = 0.0) -> Floquet:
+    """Multipliers, pairs and verdict of a reduced monodromy; an `error` as of `judged`.
 
     Conservative: reciprocal pairs, "elliptic" when every index is real and in (-2, 2), "unstable"
     when one is clearly outside, "marginal" when the error bar decides. Dissipative:
     "asymptotically stable" | "unstable" | "marginal" by the largest |mu|.
     """
-    return judged(np.linalg.eigvals(reduced) if reduced.size else np.zeros(0), conservative)
+    return judged(np.linalg.eigvals(reduced) if reduced.size else np.zeros(0), conservative, error)
 
 
-def judged(multipliers: np.ndarray, conservative: bool = True) -> Floquet:
-    """The same of multipliers in any order."""
+def judged(multipliers: np.ndarray, conservative: bool = True, error: float = 0.0) -> Floquet:
+    """The same of multipliers in any order. Of a conservative system indices may be off by an error beside what pairs
+    tell: where that is infinite, as nothing resolves the fastest, none is "elliptic" but "undecided"."""
     multipliers = multipliers.astype(complex)
     order = np.lexsort((multipliers.imag, -multipliers.real, -np.round(np.abs(multipliers), 9)))
     multipliers = multipliers[order]
@@ -95,7 +96,7 @@ def judged(multipliers: np.ndarray, conservative: bool = True) -> Floquet:
     defects = np.abs(multipliers[first] * multipliers[second] - 1.0)
     defect = float(defects.max(initial=0.0))
     indices = multipliers[first] + multipliers[second]
-    return Floquet(multipliers, defect, indices, _conservative_verdict(indices, defects))
+    return Floquet(multipliers, defect, indices, _conservative_verdict(indices, defects, error))
 
 
 def reciprocal_pairs(multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -111,15 +112,25 @@ def reciprocal_pairs(multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(first, int), np.asarray(second, int)
 
 
-def _conservative_verdict(indices: np.ndarray, defects: np.ndarray) -> str:
+def _conservative_verdict(indices: np.ndarray, defects: np.ndarray, known: float) -> str:
     """An error e of the matrix makes |mu_1 mu_2 - 1| about |mu_1 + mu_2| e and the index wrong by about e."""
+    if np.isinf(known):
+        resolved = _conservative_verdict(indices, defects, 0.0)
+        return resolved if resolved == "unstable" else "undecided"
     sizes = np.abs(indices)
     error = ERROR_FACTOR * float((defects * np.minimum(sizes, 4.0 / nonzero(sizes))).max(initial=0.0))
-    error = max(error, ERROR_FLOOR)
-    outside = np.where(np.abs(indices.imag) > error, np.abs(indices.imag), np.abs(indices.real) - 2.0)
-    if np.any(outside > error):
+    error = max(error, ERROR_FACTOR * known, ERROR_FLOOR)
+    out = outside(indices, error)
+    if np.any(out > error):
         return "unstable"
-    return "marginal" if np.any(outside > -error) else "elliptic"
+    return "marginal" if np.any(out > -error) else "elliptic"
+
+
+def outside(indices: np.ndarray, error: float = ERROR_FLOOR) -> np.ndarray:
+    """How far each index is out of the real numbers from -2 to 2, negative within: off the axis by more than an error,
+    or along it."""
+    off = np.abs(indices.imag)
+    return np.asarray(np.where(off > error, off, np.abs(indices.real) - 2.0))
 
 
 def verdict(multipliers: np.ndarray, errors: np.ndarray | float = 0.0) -> str:

@@ -80,6 +80,22 @@ class Fourier:
         return [coefficients @ (power.T @ values.T) for power in self.powers]
 
 
+class Slots:
+    """Where entries at some rows and columns, each of them once or more, go in a sparse matrix, worked out once."""
+
+    def __init__(self, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> None:
+        places, self.slots = np.unique(columns * shape[0] + rows, return_inverse=True)
+        self.shape, self.indices = shape, (places % shape[0]).astype(np.int32)
+        self.starts = np.searchsorted(places, np.arange(shape[1] + 1) * shape[0]).astype(np.int32)
+
+    def matrix(self, entries: np.ndarray) -> Any:
+        """Of their values."""
+        data: Any = np.bincount(self.slots, entries.real, self.indices.size)
+        if np.iscomplexobj(entries):
+            data = data + 1j * np.bincount(self.slots, entries.imag, self.indices.size)
+        return sparse.csc_matrix((data, self.indices, self.starts), shape=self.shape)
+
+
 class Pattern:
     """Where blocks of slopes go in the sparse matrix of all rows, worked out once.
 
@@ -104,9 +120,7 @@ class Pattern:
             rows.append((pairs[:, :1] * count + block[0]).ravel())
             columns.append((pairs[:, 1:2] * count + block[1]).ravel())
         self.idle, self.whole = [not power.any() for power in powers], equations.size * count
-        places, self.slots = np.unique(np.concatenate(columns) * self.whole + np.concatenate(rows), return_inverse=True)
-        self.indices = (places % self.whole).astype(np.int32)
-        self.starts = np.searchsorted(places, np.arange(self.whole + 1) * self.whole).astype(np.int32)
+        self._slots = Slots(np.concatenate(rows), np.concatenate(columns), (self.whole, self.whole))
         self.derived = dict[Any, Any]()  # what else is worked out once on these orders
 
     def matrix(self, fixed: np.ndarray, varying: np.ndarray) -> Any:
@@ -114,11 +128,7 @@ class Pattern:
         steady, moving = self.equations.steady[:, 2], self.equations.varying[:, 2]
         parts = [np.outer(fixed[steady == k], self.turning[k]).ravel() for k in range(3)]
         parts += [(varying[moving == k] @ self.products[k]).ravel() for k in range(3) if not self.idle[k]]
-        values = np.concatenate(parts)
-        data: Any = np.bincount(self.slots, values.real, self.indices.size)
-        if np.iscomplexobj(values):
-            data = data + 1j * np.bincount(self.slots, values.imag, self.indices.size)
-        return sparse.csc_matrix((data, self.indices, self.starts), shape=(self.whole, self.whole))
+        return self._slots.matrix(np.concatenate(parts))
 
 
 class Condensed:

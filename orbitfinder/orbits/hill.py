@@ -9,33 +9,42 @@ and Arnoldi's method finds the largest mu, a sparse factorisation a shift. Which
 order of averaging: with frequencies w_i, rates of decay g_i and modes of the mean matrices, the k-th harmonic K of the
 stiffness couples two modes by c = K_ij / 2 sqrt(w_i w_j), and where they are d = w_i + w_j - k off a resonance they
 grow by Re sqrt(((g_i - g_j + i d) / 2)^2 + c^2) - (g_i + g_j) / 2. With twice the c, pairs that grow are looked for,
-and what all others do at most bounds the `rest`: a bound of first order, by a factor of two. Of more coordinates than
-all modes are known of, the energy of `orbits.decay` is asked first; where it does not tell, slow modes are looked at:
-with kappa the size of K_k beside the mean K, c <= kappa sqrt(w_i w_j) / 2, so w_i + w_j <= k / (1 - kappa / 4 q) where
-a pair grows, q the least sqrt(g_i g_j) / (g_i + g_j), and none where kappa k / 4 is below all rates of decay.
+and what all others do at most bounds the `rest`: a bound of first order, by a factor of two. Of free motions, which
+nothing damps, all multipliers are computed by sparse steps of Gauss' method over the series, and where that is too much
+only those that grow are looked for. Of more coordinates than all modes are known of, the energy of `orbits.decay` is
+asked first; where it does not tell, slow modes are looked at: with kappa the size of K_k beside the mean K, c <= kappa
+sqrt(w_i w_j) / 2, so w_i + w_j <= k / (1 - kappa / 4 q) where a pair grows, q the least sqrt(g_i g_j) / (g_i + g_j),
+and none where kappa k / 4 is below all rates of decay.
 Sources: B. Bentvelsen, A. Lazarus, Nonlinear Dyn. 91 (2018) 1349-1370; A. Nayfeh, D. Mook, Nonlinear Oscillations
 (1979), section 5.4.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh, splu
 
+from orbitfinder._runtime import limit
+from orbitfinder._runtime.sizes import relative
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.collocation import tableau
+from orbitfinder.integrate.evaluate import one_thread
+from orbitfinder.loops.symmetry import symplectic
 from orbitfinder.orbits.decay import Beside, decay, extreme
-from orbitfinder.orbits.floquet import reduce_monodromy
+from orbitfinder.orbits.floquet import Floquet, judged, reduce_monodromy
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
-from orbitfinder.orbits.implicit import SMALL
+from orbitfinder.orbits.implicit import SMALL, STAGES, Variations, truncated
 
 SOUGHT, MOST_SOUGHT, VECTORS, CONVERGED = 2, 24, 14, 1e-5
 """Exponents about a shift, at first and at most, vectors that they are sought in, their relative error"""
-STEP, MOST_STEPS = 0.5, 4096
-"""Steps of a march for all exponents, in units of the fastest motion, and the most that there may be"""
+STEP, SPARSE, MOST_STEPS = 0.5, 1.0, 4096
+"""Steps of a march for all exponents, in units of the fastest motion, of free motions, and how many at most"""
+INSTANTS, EVEN, GROWN, PARTNER = 8, 1e-11, 1e-5, 1e-2
+"""At which the fastest motion is looked for; share of a motion's largest coefficient that is none; real parts of
+exponents that grow where nothing damps, and what share of them their partners may be off"""
 ALIKE, ROUND_OFF = 1e-7, 1e-8
 """Exponents nearer than this are the same. Real parts below it are none"""
 MARGIN, NEARBY, MOST_SHIFTS = 2.0, 0.05, 8
@@ -53,10 +62,17 @@ class Exponents:
     values: np.ndarray
     rest: float
     why: str = ""
+    whole: Floquet | None = None
+    """where all are known"""
+    root: int = 1
+    indices: np.ndarray = field(default_factory=lambda: np.zeros(0, complex))
+    """of free motions, of the map whose power `root` the monodromy is"""
 
     @property
     def multipliers(self) -> np.ndarray:
         """e^(2 pi s), each with its conjugate."""
+        if self.whole is not None:
+            return self.whole.multipliers
         picked = np.exp(2 * np.pi * self.values)
         pairs = self.values[(self.values.imag > ALIKE) & (np.abs(self.values.imag % 0.5 - 0.25) < 0.25 - ALIKE)]
         return picked if np.any(self.values.imag < -ALIKE) else np.append(picked, np.exp(2 * np.pi * pairs.conj()))
@@ -64,6 +80,8 @@ class Exponents:
     @property
     def stability(self) -> str:
         """In the words of other orbits, or that it is undecided."""
+        if self.whole is not None:
+            return self.whole.stability
         worst = float(self.values.real.max(initial=-np.inf))
         if worst > ROUND_OFF:
             return "unstable"
@@ -75,29 +93,82 @@ class Exponents:
 def exponents(problem: Balanced, w: Coefficients) -> Exponents:
     """Those of a motion, remembered with it. Raises `ConvergenceError` where Arnoldi's method finds none."""
     if "exponents" not in w.known:
-        whole = monodromy(problem, w) if problem.equations.size <= SMALL else None
-        if whole is None:
-            w.known["exponents"] = _few(problem, w)
-        else:
-            if not problem.equations.names:
-                whole = _without_trivial(problem, w, whole)
-            with np.errstate(divide="ignore"):
-                picked = np.log(np.linalg.eigvals(whole).astype(complex)) / (2 * np.pi)
-            w.known["exponents"] = Exponents(picked[np.argsort(-picked.real)], -np.inf)
+        w.known["exponents"] = _all(problem, w) or _few(problem, w)
     return w.known["exponents"]  # type: ignore[no-any-return]
+
+
+def _all(problem: Balanced, w: Coefficients) -> Exponents | None:
+    """Those of few coordinates that are not stiff, and of free motions of more."""
+    size, (whole, power, error) = problem.equations.size, (None, 1, 0.0)
+    if problem.equations.names:
+        whole = monodromy(problem, w) if size <= SMALL else None
+    elif size <= MOST_MODES:
+        whole, power, error = _reduced(problem, w)
+    if whole is None:
+        return None
+    multipliers, keeps = np.linalg.eigvals(whole).astype(complex), symplectic(problem.equations.model)
+    about, root = judged(multipliers**power, keeps, error), judged(multipliers, keeps)
+    with np.errstate(divide="ignore"):
+        picked = np.log(about.multipliers) / (2 * np.pi)
+    return Exponents(picked[np.argsort(-picked.real)], -np.inf, "", about, power, root.indices.astype(complex))
 
 
 def proved(problem: Balanced, w: Coefficients) -> bool:
     """Whether all that is known of a motion's exponents is that an energy falls."""
-    return problem.equations.size > MOST_MODES and not exponents(problem, w).values.size
+    about = exponents(problem, w)
+    return problem.equations.size > MOST_MODES and not about.values.size and about.rest < 0
 
 
-def _without_trivial(problem: Balanced, w: Coefficients, whole: np.ndarray) -> np.ndarray:
-    """The monodromy of a free motion on its level of energy, modulo its own direction."""
+def _trivial(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarray]:
+    """The gradient of the energy and the direction of a free motion (1 x 2n each), over (u, u')."""
     motion, equations = problem.basis.motion(problem.coefficients(w), np.zeros(1)), problem.equations
     pace = np.repeat([1.0, equations.pace(problem.values(w))], equations.size)
-    state, along = (pace * np.concatenate(pair)[:, 0] for pair in (motion[:2], motion[1:]))
-    return reduce_monodromy(whole, (pace * equations.at_start(equations.level, state)[1])[None], (along / pace)[None])
+    state, along = (np.concatenate(pair)[:, 0] for pair in (motion[:2], motion[1:]))
+    return (pace * equations.at_start(equations.level, pace * state)[1])[None], along[None]
+
+
+@one_thread()
+def _reduced(problem: Balanced, w: Coefficients) -> tuple[np.ndarray | None, int, float]:
+    """A root of the monodromy of a free motion of many coordinates on its level of energy, modulo its own direction, of
+    which power that is, and what it is known to; None where too many steps would be needed.
+
+    Sparse steps go over half a period where G is odd, as Phi = (-Phi(pi))^2, and over half of that where the motion is
+    even about 0, as then, with P = diag(1, -1), Phi over the whole is P A^-1 P A.
+    """
+    equations, basis, values = problem.equations, problem.basis, problem.values(w)
+    linear, n, coefficients = Variations(equations), equations.size, problem.coefficients(w)
+    fixed = np.broadcast_to(equations.fixed(values)[:, None], (len(equations.steady), STAGES))
+
+    def slopes(times: np.ndarray) -> np.ndarray:
+        varying = equations.over(times, basis.motion(coefficients, times), values)[1]
+        return np.concatenate([varying, fixed[:, : times.size]])
+
+    odd, sines = 0 not in basis.orders, [place + 1 for k, place in zip(basis.orders, basis.places, strict=True) if k]
+    even = equations.model.gyroscopic is None and bool(
+        np.abs(coefficients[:, sines]).max() <= EVEN * np.abs(coefficients).max()
+    )
+    length = 2 * np.pi / (1 + odd) / (1 + even)
+    instants = np.split(np.linspace(0.0, length, INSTANTS), INSTANTS)
+    fastest = max(max(basis.orders), *(linear.fastest(slopes(each)[:, 0]) for each in instants))
+    steps = int(np.ceil(fastest * length / SPARSE))
+    if steps > MOST_STEPS * length / (2 * np.pi):
+        return None, 1, 0.0
+    h, gone = length / steps, np.eye(2 * n) - 1.0 / n  # a reflection, and nothing in it is 0
+    for k in range(steps):
+        limit.check()
+        gone = linear.over(h, slopes(h * (k + linear.rule.points)), gone)
+    masses = linear.matrix(slopes(np.zeros(1))[:, 0] * (linear.table[:, 2] == 2)).diagonal()
+    units = np.concatenate([masses**-0.5, masses**-0.5 * fastest**0.5])
+    root = (gone - gone.sum(axis=1, keepdims=True) / n) * units / units[:, None]
+    if even:
+        back = np.repeat([1.0, -1.0], n)[:, None]
+        root = back * np.linalg.solve(root, back * root)
+    root = -root if odd else root
+    gradient, along = _trivial(problem, w)
+    gradient, along = gradient * units, along / units
+    lost = (relative(root @ along[0] - along[0], along[0]), relative(gradient[0] @ root - gradient[0], gradient[0]))
+    off = (1 + even) * truncated(fastest * length, steps)
+    return reduce_monodromy(root, gradient, along), 1 + odd, (1 + odd) * max(off, *lost)
 
 
 def nearest(problem: Balanced, w: Coefficients) -> complex:
@@ -107,19 +178,17 @@ def nearest(problem: Balanced, w: Coefficients) -> complex:
 
 
 def _few(problem: Balanced, w: Coefficients) -> Exponents:
-    """Those near what may grow."""
-    if not problem.equations.names:
-        return Exponents(np.zeros(0, complex), np.inf, "nothing damps it, and averaging of first order bounds nothing")
-    many = problem.equations.size > MOST_MODES
+    """Those near what may grow, of free motions those of them that do."""
+    free, many = not problem.equations.names, problem.equations.size > MOST_MODES
     why = ""
-    if many:
+    if many and not free:
         proof = decay(problem, w)
         if proof.rate > 0:
             return Exponents(np.zeros(0, complex), -proof.rate)
         why = proof.why
     spacing = 1.0 if 0 in problem.basis.orders else 2.0
     suspects, reaches, rest, more = _suspects(problem, w)
-    if more and not many:
+    if more and not many and not free:
         proof = decay(problem, w)
         rest, more, why = (-proof.rate, "", "") if proof.rate > 0 else (np.inf, more, proof.why)
     there = suspects - (spacing - 1.0)  # e^(i f tau) is e^(s tau) times an order, f - 1 is 0 among odd ones
@@ -138,12 +207,28 @@ def _few(problem: Balanced, w: Coefficients) -> Exponents:
             rest, more = np.inf, f"more exponents than {MOST_SOUGHT} lie about {shift:.3g} i"
     if len(places) > MOST_SHIFTS:
         rest, more = np.inf, f"modes at more than {MOST_SHIFTS} frequencies may grow"
+    if free:
+        values, rest = _growing(problem, w, values), np.inf
+        more = f"it has more than {MOST_MODES} coordinates" if many else f"its modes ask for over {MOST_STEPS} steps"
+        why, more = ("", "") if values else ("nothing damps it", more)
     alone: list[complex] = []
     for value in sorted(values, key=lambda s: -s.real):
         there_ = complex(value.real, abs((value.imag + spacing / 2) % spacing - spacing / 2))
         if not any(abs(there_ - other) < ALIKE for other in alone):
             alone.append(there_)
     return Exponents(np.array(alone, complex), rest, "; ".join(filter(None, (why, more))) if np.isinf(rest) else "")
+
+
+def _growing(problem: Balanced, w: Coefficients, values: list[complex]) -> list[complex]:
+    """Those of a free motion that grow, known far better from there, each with its partner that decays as fast."""
+    picked = list[complex]()
+    for value in values:
+        if value.real > GROWN:
+            near = complex(_about(problem, w, value, 1)[0][0])
+            partner = min(abs(other + near.conjugate()) for other in values)
+            if near.real > GROWN and max(partner, abs(near - value)) < PARTNER * near.real:
+                picked += [near, -near.conjugate()]
+    return picked
 
 
 @dataclass(frozen=True)
@@ -156,8 +241,8 @@ class _Modes:
     least: float
 
 
-def _modes(beside: Beside, harmonics: np.ndarray, period: int) -> _Modes | str:
-    """All modes, or of many those slow enough to grow; or why they do not tell."""
+def _modes(beside: Beside, harmonics: np.ndarray, period: int, free: bool) -> _Modes | str:
+    """All modes, or of many those slow enough to grow, of free motions those nearest; or why they do not tell."""
     parts = beside.stiffness, beside.damping, beside.mass
     if beside.shifting or any(abs(part - part.T).max() > SYMMETRIC * abs(part).max() for part in parts):
         return "its matrices are not symmetric, or its masses change"
@@ -166,6 +251,8 @@ def _modes(beside: Beside, harmonics: np.ndarray, period: int) -> _Modes | str:
         return "it has no masses"
     if beside.n <= MOST_MODES:
         squares, shapes = eigh(stiffness.toarray(), mass.toarray())
+    elif free:
+        squares, shapes = eigsh(stiffness, MODES, mass, sigma=1.0, v0=np.ones(beside.n))
     else:
         top, stiff = 0.0, beside.varies[:, 2] == 0
         try:
@@ -188,13 +275,14 @@ def _modes(beside: Beside, harmonics: np.ndarray, period: int) -> _Modes | str:
     if not squares.min() > 0:
         return "it has a mode without stiffness"
     frequencies = np.sqrt(squares)
-    decays = np.einsum("ij,ij->j", shapes, damping @ shapes) / 2
-    if not decays.min() > 0:
+    decays = np.zeros(frequencies.size) if free else np.einsum("ij,ij->j", shapes, damping @ shapes) / 2
+    if not free and not decays.min() > 0:
         return "some of it is not damped"
     slow = decays - np.sqrt(np.maximum(decays**2 - squares, 0.0))
     return _Modes(
-        frequencies, shapes, decays, float(slow.min() if shapes.shape[1] == beside.n else min(slow.min(), slowest))
-    )
+        frequencies, shapes, decays,
+        float(slow.min() if free or shapes.shape[1] == beside.n else min(slow.min(), slowest)),
+    )  # fmt: skip
 
 
 def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarray, float, str]:
@@ -203,7 +291,7 @@ def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarra
     moving, samples = problem.equations.varying, problem.sampled(w)[1]
     harmonics = np.fft.rfft(samples, axis=1) / samples.shape[1]
     period = 1 if 0 in problem.basis.orders else 2
-    seen = _modes(Beside(problem, w), harmonics, period)
+    seen = _modes(Beside(problem, w), harmonics, period, not problem.equations.names)
     if isinstance(seen, str):
         return np.zeros(0), np.zeros(0), np.inf, seen
     frequencies, decays = seen.frequencies, seen.decays
@@ -260,7 +348,7 @@ def _shifted(problem: Balanced, shift: complex) -> list[Pattern]:
     """A, B and C at a shift, kept with the orders."""
     known, basis = problem.pattern.derived, problem.basis
     if shift not in known:
-        unit, moved = np.eye(basis.count), basis.slope + (shift if shift.imag else 0.0) * np.eye(basis.count)
+        unit, moved = np.eye(basis.count), basis.slope + (shift if shift.imag else shift.real) * np.eye(basis.count)
         none = np.zeros_like(unit)
         powers: list[list[np.ndarray]] = [[unit, moved, moved @ moved], [none, unit, 2 * moved], [none, none, unit]]
         known[shift] = [Pattern(problem.equations, basis, each) for each in powers]

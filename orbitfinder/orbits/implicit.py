@@ -34,7 +34,7 @@ from orbitfinder.orbits.closure import Closure, closes
 from orbitfinder.orbits.decay import Decay, decay
 from orbitfinder.orbits.evidence import Recomputed, Tour
 from orbitfinder.orbits.floquet import Floquet, analyse
-from orbitfinder.orbits.harmonics import Balanced, Coefficients, Fourier, Pattern, orders
+from orbitfinder.orbits.harmonics import Balanced, Coefficients, Fourier, Pattern, Slots, orders
 from orbitfinder.orbits.measure import action
 
 STAGES, STEPS, PIECES = 6, 64, 16
@@ -42,11 +42,64 @@ STAGES, STEPS, PIECES = 6, 64, 16
 SETTLED, MOST, SLOW, SLOWER = 1e-15, 60, 0.7, 0.15
 """Change of the coordinates, in extents, after which an iteration has ended; its steps at most; what a step leaves that
 no longer contracts, or that asks for new factors"""
-RESOLVED, POWERS, FINEST, SMALL = 1.5, 30, 512, 40
-"""Radians of the fastest mode in a step, iterations that find it, the most steps that follow it;
-coordinates up to which motions are certified by explicit steps and all their variations"""
+RESOLVED, POWERS, FINEST, FREE, SMALL, ERROR = 1.5, 30, 512, 4096, 40, 1.74e-13
+"""Radians of the fastest mode in a step, iterations that find it, the most steps that follow it, of driven motions and
+of others; coordinates up to which motions are certified by explicit steps and all their variations; a step of z radians
+is off by this times z^13: 6!^2 / 12! 13!"""
 TOLD, HIGHEST = 1e-10, 48
 """Share of the largest harmonic of a motion that is none; as many as an energy is asked of"""
+
+
+def truncated(turned: float, steps: int) -> float:
+    """What so many steps over so many radians are off by."""
+    return steps * ERROR * (turned / steps) ** (2 * STAGES + 1)
+
+
+class Variations:
+    """Small motions M u'' + C u' + K u = 0 beside some motion, over steps of Gauss' method.
+
+    Entries (k) of all three matrices are in the order of a residual's `table`.
+    """
+
+    def __init__(self, residual: Residual) -> None:
+        self.rule, self.size = tableau(STAGES, "legendre"), residual.size
+        self.table = np.concatenate([residual.varying, residual.steady])
+        (i, j, kinds), stages, n = self.table.T, np.arange(STAGES), residual.size
+        self._single = Slots(i, j, (n, n))
+        row, along = ((each[:, None] * STAGES + stages) for each in (i, j))  # the stages of a row together
+        across, down = np.broadcast_arrays(row[:, :, None], along[:, None, :])
+        self._stages = Slots(across.ravel(), down.ravel(), (STAGES * n, STAGES * n))
+        stiff, both = kinds == 0, np.concatenate([j[kinds == 0], j[kinds < 2] + n])
+        across = np.concatenate([row[stiff], row[kinds < 2]])
+        self._given = Slots(across.ravel(), np.repeat(both, STAGES), (STAGES * n, 2 * n))
+
+    def matrix(self, entries: np.ndarray) -> sparse.csc_matrix:
+        """The sum of the three (n x n) with these entries."""
+        return self._single.matrix(entries)
+
+    def fastest(self, slopes: np.ndarray) -> float:
+        """About the largest frequency, of entries (k) at an instant."""
+        stiff, mass = (self.matrix(slopes * (self.table[:, 2] == kind)) for kind in (0, 2))
+        shape, size = np.random.default_rng(0).normal(size=self.size), 0.0
+        factors = splu(mass)
+        for _ in range(POWERS):
+            shape = factors.solve(stiff @ shape)
+            size = float(np.linalg.norm(shape))
+            shape = shape / size
+        return float(np.sqrt(size))
+
+    def over(self, h: float, slopes: np.ndarray, whole: np.ndarray) -> np.ndarray:
+        """A matrix (2n x m) of u, u' after a step h with entries (k x s) at its stages."""
+        n, kinds, inner = self.size, self.table[:, 2], self.rule.inner
+        parts, weights = np.array([h**2 * inner @ inner, h * inner, np.eye(STAGES)]), self.rule.weights
+        matrix = self._stages.matrix((slopes[:, :, None] * parts[kinds]).ravel())  # (row, stage i) by (column, stage j)
+        stiff, damping = (slopes * (kinds == kind)[:, None] for kind in (0, 1))
+        carried = (self.rule.points * h * stiff + damping)[kinds < 2]
+        right = self._given.matrix(-np.concatenate([stiff[kinds == 0], carried]).ravel()) @ whole
+        stages = splu(matrix).solve(right).reshape(n, STAGES, -1)
+        moved = h**2 * np.einsum("nik,i->nk", stages, weights @ inner)
+        return np.vstack([whole[:n] + h * whole[n:] + moved,
+                          whole[n:] + h * np.einsum("nik,i->nk", stages, weights)])  # fmt: skip
 
 
 class Implicit:
@@ -56,14 +109,12 @@ class Implicit:
     def __init__(self, model: Model, residual: Residual, values: np.ndarray) -> None:
         self.residual, self.values = residual, values
         self.many, self.pace = rates_of(vector_field(accelerations(model)))[0], residual.pace(values)
-        rule, n = tableau(STAGES, "legendre"), self.residual.size
+        self.linear = Variations(residual)
+        rule, self.table = self.linear.rule, self.linear.table
         self.places, self.inner, self.weights = rule.points, rule.inner, rule.weights
         values, vectors = np.linalg.eig(self.inner)
         own = values.imag > 0  # the others are their conjugates
         self.eigenvalues, self.out, self.into = values[own], vectors[:, own], np.linalg.inv(vectors)[own]
-        self.table = np.concatenate([self.residual.varying, self.residual.steady])
-        places, self.slots = np.unique(self.table[:, 1] * n + self.table[:, 0], return_inverse=True)
-        self.indices, self.starts = places % n, np.searchsorted(places, np.arange(n + 1) * n)
         self._factors, self._noise = cast(Any, ()), SETTLED  # of an earlier step; changes that are none
 
     def _slopes(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -116,15 +167,8 @@ class Implicit:
         middle = slice(STAGES // 2, STAGES // 2 + 1)
         slopes = self._slopes(times[middle], *(part[:, middle] for part in motion))[:, 0]
         weights = (h * self.eigenvalues[:, None]) ** (2 - self.table[:, 2])
-        factors = [splu(self._matrix(slopes * weight)) for weight in weights]
-        return self._matrix(slopes * (self.table[:, 2] == 2)), factors
-
-    def _matrix(self, entries: np.ndarray) -> sparse.csc_matrix:
-        n, size = self.residual.size, self.indices.size
-        data = np.bincount(self.slots, entries.real, size)
-        if np.iscomplexobj(entries):
-            data = data + 1j * np.bincount(self.slots, entries.imag, size)
-        return sparse.csc_matrix((data, self.indices, self.starts), shape=(n, n))
+        factors = [splu(self.linear.matrix(slopes * weight)) for weight in weights]
+        return self.linear.matrix(slopes * (self.table[:, 2] == 2)), factors
 
     def path(
         self, state: np.ndarray, period: float, steps: int, units: np.ndarray, varied: np.ndarray | None = None
@@ -150,19 +194,16 @@ class Implicit:
         end, a = self._stepped(t, state, h, a, units)
         return end, None if varied is None else self._varied(t, state, h, a, varied), a @ self._ahead.T
 
-    def steps(self, state: np.ndarray, period: float) -> int:
-        """As many steps of a period as follow the fastest mode, a power of two, or fewer where that is stiff."""
+    def steps(self, state: np.ndarray, period: float) -> tuple[int, float]:
+        """As many steps of a period as follow the fastest mode, a power of two, and what they are off by; infinitely so
+        where that is stiff and there are fewer."""
         n = self.residual.size
         slopes = self._slopes(np.zeros(1), state[:n, None], state[n:, None], np.zeros((n, 1)))[:, 0]
-        stiff, mass = (self._matrix(slopes * (self.table[:, 2] == kind)) for kind in (0, 2))
-        shape, size = np.random.default_rng(0).normal(size=n), 0.0
-        factors = splu(mass)
-        for _ in range(POWERS):
-            shape = factors.solve(stiff @ shape)
-            size = float(np.linalg.norm(shape))
-            shape = shape / size
-        wanted = np.sqrt(size) * period / RESOLVED
-        return STEPS if wanted > FINEST else int(2 ** np.ceil(np.log2(max(wanted, STEPS))))
+        turned = self.linear.fastest(slopes) * period
+        if turned > RESOLVED * (FINEST if self.residual.names else FREE):
+            return STEPS, np.inf
+        steps = int(2 ** np.ceil(np.log2(max(turned / RESOLVED, STEPS))))
+        return steps, truncated(turned, steps)
 
     def decay(self, states: np.ndarray) -> Decay:
         """Of small motions beside one whose states (k + 1 x 2n) are at equal times over its period."""
@@ -185,25 +226,10 @@ class Implicit:
 
     def _varied(self, t: float, state: np.ndarray, h: float, a: np.ndarray, whole: np.ndarray) -> np.ndarray:
         """A matrix (2n x k) of variations carried over a step with stages a."""
-        n, count, inner, square = self.residual.size, STAGES, self.inner, self.inner @ self.inner
-        q = state[:n, None] + h * self.places * state[n:, None] + h**2 * a @ square.T
-        v = state[n:, None] + h * a @ inner.T
-        slopes, kinds = self._slopes(t + h * self.places, q, v, a), self.table[:, 2]
-        parts = np.array([h**2 * square, h * inner, np.eye(count)])
-        entries = slopes[:, :, None] * parts[kinds]  # (row, stage i) by (column, stage j)
-        rows = (self.table[:, 0, None] * count + np.arange(count))[:, :, None]
-        columns = (self.table[:, 1, None] * count + np.arange(count))[:, None, :]
-        shape = entries.shape
-        matrix = sparse.csc_matrix((entries.ravel(), (np.broadcast_to(rows, shape).ravel(),
-                                   np.broadcast_to(columns, shape).ravel())), shape=(n * count, n * count))  # fmt: skip
-        right = np.zeros((n, count, whole.shape[1]))
-        for i in range(count):
-            k, c = (self._matrix(slopes[:, i] * (kinds == kind)) for kind in (0, 1))
-            right[:, i] = -(k @ (whole[:n] + self.places[i] * h * whole[n:]) + c @ whole[n:])
-        stages = splu(matrix).solve(right.reshape(n * count, -1)).reshape(n, count, -1)
-        moved = h**2 * np.einsum("nik,i->nk", stages, self.weights @ inner)
-        return np.vstack([whole[:n] + h * whole[n:] + moved,
-                          whole[n:] + h * np.einsum("nik,i->nk", stages, self.weights)])  # fmt: skip
+        n = self.residual.size
+        q = state[:n, None] + h * self.places * state[n:, None] + h**2 * a @ (self.inner @ self.inner).T
+        v = state[n:, None] + h * a @ self.inner.T
+        return self.linear.over(h, self._slopes(t + h * self.places, q, v, a), whole)
 
 
 def suits(model: Model) -> bool:
@@ -226,7 +252,7 @@ def gathered(model: Model, state: np.ndarray, period: float, damped: bool = Fals
     motion = Implicit(model, residual, residual.start if model.forced else np.array([0.0, 2 * np.pi / period]))
     rough = motion.path(state, period, STEPS, np.abs(state) + np.abs(state).max() + SETTLED)[0]
     units = extents_of(model, rough, period)
-    steps = motion.steps(state, period)
+    steps, off = motion.steps(state, period)
     states = motion.path(state, period, 2 * steps, units)[0]
     proof = motion.decay(states) if damped else Decay(0.0)
     coarse, pieces = motion.path(state, period, steps, units, None if proof.rate > 0 else np.eye(2 * n))
@@ -245,7 +271,7 @@ def gathered(model: Model, state: np.ndarray, period: float, damped: bool = Fals
         closure = closes(missed, scaled, states / units, rate, kept)
     loop = Tour(closure, scaled, kept, flow, conservative, units, np.eye(2 * n))
     if not proof.rate > 0:
-        floquet = analyse(loop.map(), conservative)
+        floquet = analyse(loop.map(), conservative, off)
     times = np.linspace(0.0, period, len(states))
     seen = Recomputed(
         times, states, units, loop, float(np.abs(states[-1] - states[0]).max()), action(model, times, states),
