@@ -18,7 +18,7 @@ from typing import Any, cast
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
@@ -37,11 +37,11 @@ from orbitfinder.orbits.floquet import Floquet, analyse
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Fourier, Pattern, orders
 from orbitfinder.orbits.measure import action
 
-STAGES, STEPS, PIECES = 6, 64, 16
-"""Of a step; steps and state-transition matrices of a period"""
-SETTLED, MOST, SLOW, SLOWER = 1e-15, 60, 0.7, 0.15
+STAGES, STEPS, PIECES, FEW = 6, 64, 16, 0.2
+"""Of a step; steps and state-transition matrices of a period; stages of rows that are few, in the rows of all"""
+SETTLED, MOST, SLOW, SLOWER, WAVERS = 1e-15, 60, 0.7, 0.15, 4.0
 """Change of the coordinates, in extents, after which an iteration has ended; its steps at most; what a step leaves that
-no longer contracts, or that asks for new factors"""
+no longer contracts, or that asks for new factors; by how much changes that are round-off's differ"""
 RESOLVED, POWERS, FINEST, SMALL = 1.5, 30, 512, 40
 """Radians of the fastest mode in a step, iterations that find it, the most steps that follow it;
 coordinates up to which motions are certified by explicit steps and all their variations"""
@@ -58,17 +58,19 @@ class Implicit:
         self.many, self.pace = rates_of(vector_field(accelerations(model)))[0], residual.pace(values)
         rule, n = tableau(STAGES, "legendre"), self.residual.size
         self.places, self.inner, self.weights = rule.points, rule.inner, rule.weights
+        self.square = self.inner @ self.inner
         values, vectors = np.linalg.eig(self.inner)
         own = values.imag > 0  # the others are their conjugates
         self.eigenvalues, self.out, self.into = values[own], vectors[:, own], np.linalg.inv(vectors)[own]
         self.table = np.concatenate([self.residual.varying, self.residual.steady])
         places, self.slots = np.unique(self.table[:, 1] * n + self.table[:, 0], return_inverse=True)
         self.indices, self.starts = places % n, np.searchsorted(places, np.arange(n + 1) * n)
-        self._factors, self._noise = cast(Any, ()), SETTLED  # of an earlier step; changes that are none
+        self._factors, self._steady = cast(Any, ()), cast(Any, ())  # of an earlier step, and of its variations
+        self._noise = SETTLED  # changes that are none
 
     def _slopes(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """dG/dq, dG/dv, dG/da (k x s, by `table`) at times (s) and n x s of each."""
-        motion = [q, v / self.pace, a / self.pace**2]
+        """dG/dq, dG/dv, dG/da (k x s, by `table`) at times (s) and s x n of each."""
+        motion = [q.T, v.T / self.pace, a.T / self.pace**2]
         varying = self.residual.over(self.pace * times, motion, self.values)[1]
         fixed = np.broadcast_to(self.residual.fixed(self.values)[:, None], (len(self.residual.steady), times.size))
         return np.concatenate([varying, fixed]) / self.pace ** self.table[:, 2:]
@@ -76,24 +78,20 @@ class Implicit:
     def _stepped(
         self, t: float, state: np.ndarray, h: float, a: np.ndarray, units: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The state after a step and its stages (n x s), from a guess of them. Raises `IntegrationError`."""
-        n, times, square = self.residual.size, t + h * self.places, self.inner @ self.inner
-        q0, v0 = state[:n, None], state[n:, None]
-
-        def stages(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return q0 + h * self.places * v0 + h**2 * a @ square.T, v0 + h * a @ self.inner.T
-
-        q, v = stages(a)
+        """The state after a step and its stages (s x n), from a guess of them. Raises `IntegrationError`."""
+        n, times = self.residual.size, t + h * self.places
+        still = np.hstack([state[:n] + h * self.places[:, None] * state[n:], np.tile(state[n:], (STAGES, 1))])
+        moves, sizes = np.stack([h**2 * self.square, h * self.inner], axis=1).reshape(-1, STAGES), h**2 / units[:n]
+        states = still + (moves @ a).reshape(still.shape)
         before, fresh = np.inf, not self._factors or self._factors[0] != h
         for _ in range(MOST):
             if fresh and np.isinf(before):
-                self._factors = h, *self._factored(times, h, q, v, a)
+                self._factors = h, *self._factored(times, h, states, a)
             _, mass, factors = self._factors
-            missed = self.many(times, np.hstack([q.T, v.T]))[:, n:].T - a
-            right = (mass @ missed) @ self.into.T
-            solved = np.array([factor.solve(np.ascontiguousarray(right[:, k])) for k, factor in enumerate(factors)])
-            change = 2 * (self.out @ solved).real.T
-            moved = float(np.abs(h**2 * change / units[:n, None]).max())
+            missed = self.many(times, states)[:, n:] - a
+            right = self.into @ (mass @ missed.T).T
+            change = 2 * (self.out @ factors.solve(right.ravel()).reshape(right.shape)).real
+            moved = float(np.abs(change * sizes).max())
             slow = not moved <= SLOWER * before
             if slow and not fresh and moved > self._noise:  # of an earlier step, far from here
                 before, fresh = np.inf, True
@@ -101,23 +99,25 @@ class Implicit:
             if not np.isfinite(moved):
                 break
             a = a + change
-            q, v = stages(a)
+            states = still + (moves @ a).reshape(still.shape)
             rests = moved > SLOW * before and moved < 1e-6
-            self._noise = max(self._noise, moved) if rests and fresh else self._noise
-            if moved <= SETTLED or rests or (slow and not fresh):
-                end = np.concatenate([q0[:, 0] + h * v0[:, 0] + h**2 * a @ (self.weights @ self.inner),
-                                      v0[:, 0] + h * a @ self.weights])  # fmt: skip
+            self._noise = max(self._noise, WAVERS * moved) if rests and fresh else self._noise
+            drowned = moved <= self._noise and not slow and before < np.inf
+            if moved <= SETTLED or rests or drowned or (slow and not fresh):
+                end = np.concatenate([state[:n] + h * state[n:] + h**2 * (self.weights @ self.inner) @ a,
+                                      state[n:] + h * self.weights @ a])  # fmt: skip
                 return end, a
             before = moved
         raise IntegrationError("the steps of an implicit method do not converge; start nearer to the motion")
 
-    def _factored(self, times: np.ndarray, h: float, *motion: np.ndarray) -> tuple[Any, list[Any]]:
+    def _factored(self, times: np.ndarray, h: float, states: np.ndarray, a: np.ndarray) -> tuple[Any, SuperLU]:
         """The masses and the factors of an iteration's matrices, in the middle of a step."""
         middle = slice(STAGES // 2, STAGES // 2 + 1)
-        slopes = self._slopes(times[middle], *(part[:, middle] for part in motion))[:, 0]
+        q, v = np.hsplit(states[middle], 2)
+        slopes = self._slopes(times[middle], q, v, a[middle])[:, 0]
         weights = (h * self.eigenvalues[:, None]) ** (2 - self.table[:, 2])
-        factors = [splu(self._matrix(slopes * weight)) for weight in weights]
-        return self._matrix(slopes * (self.table[:, 2] == 2)), factors
+        every = sparse.block_diag([self._matrix(slopes * weight) for weight in weights], format="csc")
+        return self._matrix(slopes * (self.table[:, 2] == 2)), splu(every)
 
     def _matrix(self, entries: np.ndarray) -> sparse.csc_matrix:
         n, size = self.residual.size, self.indices.size
@@ -132,7 +132,7 @@ class Implicit:
         """States (steps + 1 x 2n) at equal times over a period, and what becomes of variations (2n x k) in each of its
         pieces. Raises `IntegrationError`."""
         n, h, now, pieces = self.residual.size, period / steps, np.asarray(state, float), list[np.ndarray]()
-        a = np.repeat(self.many(np.zeros(1), now[None])[:, n:].T, STAGES, axis=1)
+        a = np.repeat(self.many(np.zeros(1), now[None])[:, n:], STAGES, axis=0)
         whole, path = varied, [now]
         for k in range(steps):
             limit.check()
@@ -146,14 +146,14 @@ class Implicit:
     def both(
         self, t: float, state: np.ndarray, h: float, a: np.ndarray, units: np.ndarray, varied: np.ndarray | None
     ) -> tuple[np.ndarray, Any, np.ndarray]:
-        """A state (2n) and variations (2n x k) after a step, and the stages (n x s) that the next begins with."""
+        """A state (2n) and variations (2n x k) after a step, and the stages (s x n) that the next begins with."""
         end, a = self._stepped(t, state, h, a, units)
-        return end, None if varied is None else self._varied(t, state, h, a, varied), a @ self._ahead.T
+        return end, None if varied is None else self._varied(t, state, h, a, varied), self._ahead @ a
 
     def steps(self, state: np.ndarray, period: float) -> int:
         """As many steps of a period as follow the fastest mode, a power of two, or fewer where that is stiff."""
         n = self.residual.size
-        slopes = self._slopes(np.zeros(1), state[:n, None], state[n:, None], np.zeros((n, 1)))[:, 0]
+        slopes = self._slopes(np.zeros(1), state[None, :n], state[None, n:], np.zeros((1, n)))[:, 0]
         stiff, mass = (self._matrix(slopes * (self.table[:, 2] == kind)) for kind in (0, 2))
         shape, size = np.random.default_rng(0).normal(size=n), 0.0
         factors = splu(mass)
@@ -184,12 +184,35 @@ class Implicit:
         return np.asarray((1 + self.places)[:, None] ** np.arange(STAGES) @ np.linalg.inv(powers))
 
     def _varied(self, t: float, state: np.ndarray, h: float, a: np.ndarray, whole: np.ndarray) -> np.ndarray:
-        """A matrix (2n x k) of variations carried over a step with stages a."""
-        n, count, inner, square = self.residual.size, STAGES, self.inner, self.inner @ self.inner
-        q = state[:n, None] + h * self.places * state[n:, None] + h**2 * a @ square.T
-        v = state[n:, None] + h * a @ inner.T
-        slopes, kinds = self._slopes(t + h * self.places, q, v, a), self.table[:, 2]
-        parts = np.array([h**2 * square, h * inner, np.eye(count)])
+        """A matrix (2n x k) of variations carried over a step with stages a.
+
+        Where few rows vary, these add forces f = D y to steps that are all the same, D what slopes of coordinates y are
+        off those: y = Y w - Z f, and w goes to S w - B f.
+        """
+        n, varying = self.residual.size, self.residual.varying
+        q = state[:n] + h * self.places[:, None] * state[n:] + h**2 * self.square @ a
+        slopes = self._slopes(t + h * self.places, q, state[n:] + h * self.inner @ a, a)
+        (rows, i), (seen, j) = (np.unique(x, axis=0, return_inverse=True) for x in (varying[:, 0], varying[:, 1:]))
+        count, stages = rows.size * STAGES, np.arange(STAGES)
+        if count > FEW * n:
+            return self._ends(h, whole, self._carried(slopes, h, whole))
+        if not self._steady or self._steady[0] != h:
+            same, begin, push = slopes[:, :1], np.eye(2 * n, 2 * n + count), np.zeros((n, STAGES, 2 * n + count))
+            push[rows[:, None], stages, 2 * n + np.arange(count).reshape(-1, STAGES)] = 1.0
+            carried = self._carried(np.repeat(same, STAGES, axis=1), h, begin, push)
+            ends, felt = self._ends(h, begin, carried), self._felt(h, begin, carried, seen)
+            self._steady = h, same, *np.split(ends, [2 * n], axis=1), *np.split(felt, [2 * n], axis=1)
+        _, same, step, pushed, known, answers = self._steady
+        apart = np.zeros((rows.size, STAGES, len(seen), STAGES))
+        apart[i[:, None], stages, j[:, None], stages] = (slopes - same)[: len(varying)]
+        off = apart.reshape(count, -1)
+        forces = np.linalg.solve(np.eye(count) + off @ answers, off @ (known @ whole))
+        return np.asarray(step @ whole - pushed @ forces)
+
+    def _carried(self, slopes: np.ndarray, h: float, whole: np.ndarray, push: np.ndarray | float = 0.0) -> np.ndarray:
+        """The stages (n x s x k) of variations that begin a step, and of what pushes at them."""
+        n, count, kinds = self.residual.size, STAGES, self.table[:, 2]
+        parts = np.array([h**2 * self.square, h * self.inner, np.eye(count)])
         entries = slopes[:, :, None] * parts[kinds]  # (row, stage i) by (column, stage j)
         rows = (self.table[:, 0, None] * count + np.arange(count))[:, :, None]
         columns = (self.table[:, 1, None] * count + np.arange(count))[:, None, :]
@@ -200,10 +223,21 @@ class Implicit:
         for i in range(count):
             k, c = (self._matrix(slopes[:, i] * (kinds == kind)) for kind in (0, 1))
             right[:, i] = -(k @ (whole[:n] + self.places[i] * h * whole[n:]) + c @ whole[n:])
-        stages = splu(matrix).solve(right.reshape(n * count, -1)).reshape(n, count, -1)
-        moved = h**2 * np.einsum("nik,i->nk", stages, self.weights @ inner)
-        return np.vstack([whole[:n] + h * whole[n:] + moved,
-                          whole[n:] + h * np.einsum("nik,i->nk", stages, self.weights)])  # fmt: skip
+        return np.asarray(splu(matrix).solve((right + push).reshape(n * count, -1)).reshape(right.shape))
+
+    def _ends(self, h: float, whole: np.ndarray, stages: np.ndarray) -> np.ndarray:
+        """What variations that begin a step become, by their stages."""
+        place, rate = np.split(whole, 2)
+        moved, faster = (np.einsum("nik,i->nk", stages, by) for by in (self.weights @ self.inner, self.weights))
+        return np.vstack([place + h * rate + h**2 * moved, rate + h * faster])
+
+    def _felt(self, h: float, whole: np.ndarray, stages: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Some coordinates (0), rates (1) or accelerations (2) at the stages of variations, in rows."""
+        along, kinds = seen.T
+        (place, rate), a = (part[along, None] for part in np.split(whole, 2)), stages[along]
+        q = place + h * self.places[:, None] * rate + h**2 * self.square @ a
+        every = np.stack([q, rate + h * self.inner @ a, a])
+        return np.asarray(every[kinds, np.arange(len(seen))].reshape(-1, whole.shape[1]))
 
 
 def suits(model: Model) -> bool:
@@ -281,7 +315,7 @@ class ImplicitCheck:
         begin = along[:, None] / float(np.abs(along / units).max())
         now, back = np.asarray(state, float), begin
         h = period / STEPS
-        a = np.repeat(motion.many(np.zeros(1), now[None])[:, along.size // 2 :].T, STAGES, axis=1)
+        a = np.repeat(motion.many(np.zeros(1), now[None])[:, along.size // 2 :], STAGES, axis=0)
         for k in range(STEPS):
             now, back, a = motion.both(k * h, now, h, a, units, back)
         return float(np.abs((back - begin)[:, 0] / units).max())
