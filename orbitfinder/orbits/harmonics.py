@@ -90,11 +90,13 @@ class Pattern:
     def __init__(self, equations: Residual, basis: Fourier, powers: Sequence[np.ndarray] | None = None) -> None:
         self.equations, self.basis, count = equations, basis, basis.count
         powers = basis.powers if powers is None else powers
-        self.turning, self.products, rows, columns = [], [], [], []
+        self.products, turning, sources, rows, columns = [], [], [], [], []
         block = np.indices((count, count)).reshape(2, -1)
         for k, power in enumerate(powers):
-            pairs, (i, j) = equations.steady[equations.steady[:, 2] == k], np.nonzero(power)
-            self.turning.append(power[i, j])
+            own, (i, j) = np.flatnonzero(equations.steady[:, 2] == k), np.nonzero(power)
+            turning.append(np.tile(power[i, j], own.size))
+            sources.append(np.repeat(own, i.size))
+            pairs = equations.steady[own]
             rows.append((pairs[:, :1] * count + i).ravel())
             columns.append((pairs[:, 1:2] * count + j).ravel())
         for k, power in enumerate(powers):
@@ -104,20 +106,22 @@ class Pattern:
             rows.append((pairs[:, :1] * count + block[0]).ravel())
             columns.append((pairs[:, 1:2] * count + block[1]).ravel())
         self.idle, self.whole = [not power.any() for power in powers], equations.size * count
-        places, self.slots = np.unique(np.concatenate(columns) * self.whole + np.concatenate(rows), return_inverse=True)
+        places, slots = np.unique(np.concatenate(columns) * self.whole + np.concatenate(rows), return_inverse=True)
+        still, self.slots = np.split(slots, [sum(map(len, sources))])
+        numbers = np.concatenate(turning), (still, np.concatenate(sources))
+        self.still = sparse.csr_matrix(numbers, shape=(places.size, len(equations.steady)))
         self.indices = (places % self.whole).astype(np.int32)
         self.starts = np.searchsorted(places, np.arange(self.whole + 1) * self.whole).astype(np.int32)
         self.derived = dict[Any, Any]()  # what else is worked out once on these orders
 
     def matrix(self, fixed: np.ndarray, varying: np.ndarray) -> Any:
         """The sparse matrix of steady slopes and of samples (k x s) of the others."""
-        steady, moving = self.equations.steady[:, 2], self.equations.varying[:, 2]
-        parts = [np.outer(fixed[steady == k], self.turning[k]).ravel() for k in range(3)]
-        parts += [(varying[moving == k] @ self.products[k]).ravel() for k in range(3) if not self.idle[k]]
-        values = np.concatenate(parts)
-        data: Any = np.bincount(self.slots, values.real, self.indices.size)
-        if np.iscomplexobj(values):
-            data = data + 1j * np.bincount(self.slots, values.imag, self.indices.size)
+        moving, data = self.equations.varying[:, 2], self.still @ fixed
+        values = [(varying[moving == k] @ self.products[k]).ravel() for k in range(3) if not self.idle[k]]
+        moved = np.concatenate([np.zeros(0), *values])
+        data = data + np.bincount(self.slots, moved.real, self.indices.size)
+        if np.iscomplexobj(moved):
+            data = data + 1j * np.bincount(self.slots, moved.imag, self.indices.size)
         return sparse.csc_matrix((data, self.indices, self.starts), shape=(self.whole, self.whole))
 
 

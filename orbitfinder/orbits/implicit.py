@@ -71,7 +71,7 @@ class Implicit:
     def _slopes(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """dG/dq, dG/dv, dG/da (k x s, by `table`) at times (s) and s x n of each."""
         motion = [q.T, v.T / self.pace, a.T / self.pace**2]
-        varying = self.residual.over(self.pace * times, motion, self.values)[1]
+        varying = self.residual.moving(self.pace * times, motion, self.values)
         fixed = np.broadcast_to(self.residual.fixed(self.values)[:, None], (len(self.residual.steady), times.size))
         return np.concatenate([varying, fixed]) / self.pace ** self.table[:, 2:]
 
