@@ -15,10 +15,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy import sparse
 
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
 from orbitfinder.mechanics.model import Model
+
+STRAIGHT = 32
+"""Rows that are sums of steady slopes, from which on a sparse product makes them"""
 
 
 class Residual:
@@ -51,9 +55,21 @@ class Residual:
         self.varying, self.steady = table[varies], table[~varies]
         given = [tau, *shape, free]
         picked = [every[np.flatnonzero(which).tolist()] for which in (varies, ~varies)]
+        bent = np.array(ca.which_depends(rows, tau, 1, True), bool)
+        bent[self.varying[:, 0]] = True
+        bent |= self.size - bent.sum() < STRAIGHT
+        self._straight, self._bent = np.flatnonzero(~bent), np.flatnonzero(bent)
+        own = np.flatnonzero(~bent[self.steady[:, 0]])
+        own = own[np.argsort(self.steady[own, 0], kind="stable")]  # by rows: a matrix of all at once
+        places = self.steady[own, 2] * self.size + self.steady[own, 1]
+        self._sums = own, places, np.searchsorted(self.steady[own, 0], np.append(self._straight, self.size))
+        rest = ca.substitute(rows[self._straight.tolist()], ca.vertcat(*shape), ca.SX.zeros(3 * self.size))
+        rows, still = rows[self._bent.tolist()], [picked[1], rest]
         self._over = ca.Function("over", given, [rows, picked[0], *ca.horzsplit(ca.jacobian(rows, free))])
-        self._fixed = ca.Function("fixed", [free], [ca.densify(picked[1])])
-        self._rows_alone = ca.Function("rows", given, [ca.densify(rows)])
+        self._moving = ca.Function("moving", given, picked[:1])
+        self._fixed = ca.Function("fixed", [free], [
+            ca.densify(ca.horzcat(part, ca.jacobian(part, free))) for part in still])  # fmt: skip
+        self._rows_alone, self._last = ca.Function("rows", given, [ca.densify(rows)]), (b"", [np.zeros((0, 0))] * 2)
         self._pace = ca.Function("pace", [free], [pace, ca.jacobian(ca.SX(pace), free)])
         self._maps, self.patterns = dict[tuple[str, int], Buffered](), dict[Any, Any]()
         self._levels = dict[str, ca.Function]()
@@ -106,15 +122,41 @@ class Residual:
 
     def over(self, times: np.ndarray, motion: list[np.ndarray], values: np.ndarray) -> list[np.ndarray]:
         """At times (s, rad) and q, q', q'' (n x s each): G (n x s), its varying slopes (k x s), dG/dp (n x s) each."""
-        return [part.T for part in self._mapped(self._over, times, motion, values)]
+        rows, varying, *others = (part.T for part in self._mapped(self._over, times, motion, values))
+        whole = self._whole([rows, *others], motion, values)
+        return [whole[0], varying, *whole[1:]]
 
     def rows(self, times: np.ndarray, motion: list[np.ndarray], values: np.ndarray) -> np.ndarray:
         """G alone."""
-        return self._mapped(self._rows_alone, times, motion, values)[0].T
+        return self._whole([self._mapped(self._rows_alone, times, motion, values)[0].T], motion, values)[0]
+
+    def moving(self, times: np.ndarray, motion: list[np.ndarray], values: np.ndarray) -> np.ndarray:
+        """The varying slopes (k x s) alone."""
+        return self._mapped(self._moving, times, motion, values)[0].T
+
+    def _whole(self, bent: list[np.ndarray], motion: list[np.ndarray], values: np.ndarray) -> list[np.ndarray]:
+        """G, and dG/dp, of which the rows that are no sums of steady slopes are known."""
+        if not self._straight.size:
+            return bent
+        (own, places, starts), stacked = self._sums, np.concatenate(motion)
+        slopes, rest = self._steadily(values)
+        parts = list[np.ndarray]()
+        for k, known in enumerate(bent):
+            parts.append(np.empty((self.size, known.shape[1])))
+            sums = sparse.csr_matrix((slopes[own, k], places, starts), shape=(self._straight.size, len(stacked)))
+            parts[-1][self._bent], parts[-1][self._straight] = known, sums @ stacked + rest[:, k, None]
+        return parts
 
     def fixed(self, values: np.ndarray) -> np.ndarray:
         """The slopes that are the same at all states."""
-        return np.asarray(self._fixed(values).full().ravel())
+        return self._steadily(values)[0][:, 0]
+
+    def _steadily(self, values: np.ndarray) -> list[np.ndarray]:
+        """Those, and what G is at rest in rows that are sums of them, each with its changes by what is free."""
+        key = np.asarray(values, float).tobytes()
+        if self._last[0] != key:
+            self._last = key, [part.full() for part in self._fixed.call([values])]
+        return self._last[1]
 
     def _mapped(
         self, function: ca.Function, times: np.ndarray, motion: list[np.ndarray], values: np.ndarray

@@ -88,9 +88,9 @@ class Slots:
         self.shape, self.indices = shape, (places % shape[0]).astype(np.int32)
         self.starts = np.searchsorted(places, np.arange(shape[1] + 1) * shape[0]).astype(np.int32)
 
-    def matrix(self, entries: np.ndarray) -> Any:
-        """Of their values."""
-        data: Any = np.bincount(self.slots, entries.real, self.indices.size)
+    def matrix(self, entries: np.ndarray, known: Any = 0.0) -> Any:
+        """Of their values, beside what is `known` to be there already."""
+        data = known + np.bincount(self.slots, entries.real, self.indices.size)
         if np.iscomplexobj(entries):
             data = data + 1j * np.bincount(self.slots, entries.imag, self.indices.size)
         return sparse.csc_matrix((data, self.indices, self.starts), shape=self.shape)
@@ -106,11 +106,13 @@ class Pattern:
     def __init__(self, equations: Residual, basis: Fourier, powers: Sequence[np.ndarray] | None = None) -> None:
         self.equations, self.basis, count = equations, basis, basis.count
         powers = basis.powers if powers is None else powers
-        self.turning, self.products, rows, columns = [], [], [], []
+        self.products, turning, sources, rows, columns = [], [], [], [], []
         block = np.indices((count, count)).reshape(2, -1)
         for k, power in enumerate(powers):
-            pairs, (i, j) = equations.steady[equations.steady[:, 2] == k], np.nonzero(power)
-            self.turning.append(power[i, j])
+            own, (i, j) = np.flatnonzero(equations.steady[:, 2] == k), np.nonzero(power)
+            turning.append(np.tile(power[i, j], own.size))
+            sources.append(np.repeat(own, i.size))
+            pairs = equations.steady[own]
             rows.append((pairs[:, :1] * count + i).ravel())
             columns.append((pairs[:, 1:2] * count + j).ravel())
         for k, power in enumerate(powers):
@@ -121,14 +123,16 @@ class Pattern:
             columns.append((pairs[:, 1:2] * count + block[1]).ravel())
         self.idle, self.whole = [not power.any() for power in powers], equations.size * count
         self._slots = Slots(np.concatenate(rows), np.concatenate(columns), (self.whole, self.whole))
+        still, self._slots.slots = np.split(self._slots.slots, [sum(map(len, sources))])
+        numbers = np.concatenate(turning), (still, np.concatenate(sources))
+        self.still = sparse.csr_matrix(numbers, shape=(self._slots.indices.size, len(equations.steady)))
         self.derived = dict[Any, Any]()  # what else is worked out once on these orders
 
     def matrix(self, fixed: np.ndarray, varying: np.ndarray) -> Any:
         """The sparse matrix of steady slopes and of samples (k x s) of the others."""
-        steady, moving = self.equations.steady[:, 2], self.equations.varying[:, 2]
-        parts = [np.outer(fixed[steady == k], self.turning[k]).ravel() for k in range(3)]
-        parts += [(varying[moving == k] @ self.products[k]).ravel() for k in range(3) if not self.idle[k]]
-        return self._slots.matrix(np.concatenate(parts))
+        moving = self.equations.varying[:, 2]
+        values = [(varying[moving == k] @ self.products[k]).ravel() for k in range(3) if not self.idle[k]]
+        return self._slots.matrix(np.concatenate([np.zeros(0), *values]), self.still @ fixed)
 
 
 class Condensed:

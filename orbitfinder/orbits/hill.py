@@ -140,7 +140,7 @@ def _reduced(problem: Balanced, w: Coefficients) -> tuple[np.ndarray | None, int
     fixed = np.broadcast_to(equations.fixed(values)[:, None], (len(equations.steady), STAGES))
 
     def slopes(times: np.ndarray) -> np.ndarray:
-        varying = equations.over(times, basis.motion(coefficients, times), values)[1]
+        varying = equations.moving(times, basis.motion(coefficients, times), values)
         return np.concatenate([varying, fixed[:, : times.size]])
 
     odd, sines = 0 not in basis.orders, [place + 1 for k, place in zip(basis.orders, basis.places, strict=True) if k]

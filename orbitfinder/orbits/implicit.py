@@ -18,7 +18,7 @@ from typing import Any, cast
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
@@ -37,11 +37,11 @@ from orbitfinder.orbits.floquet import Floquet, analyse
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Fourier, Pattern, Slots, orders
 from orbitfinder.orbits.measure import action
 
-STAGES, STEPS, PIECES = 6, 64, 16
-"""Of a step; steps and state-transition matrices of a period"""
-SETTLED, MOST, SLOW, SLOWER = 1e-15, 60, 0.7, 0.15
+STAGES, STEPS, PIECES, FEW = 6, 64, 16, 0.2
+"""Of a step; steps and state-transition matrices of a period; stages of rows that are few, in the rows of all"""
+SETTLED, MOST, SLOW, SLOWER, WAVERS = 1e-15, 60, 0.7, 0.15, 4.0
 """Change of the coordinates, in extents, after which an iteration has ended; its steps at most; what a step leaves that
-no longer contracts, or that asks for new factors"""
+no longer contracts, or that asks for new factors; by how much changes that are round-off's differ"""
 RESOLVED, POWERS, FINEST, FREE, SMALL, ERROR = 1.5, 30, 512, 4096, 40, 1.74e-13
 """Radians of the fastest mode in a step, iterations that find it, the most steps that follow it, of driven motions and
 of others; coordinates up to which motions are certified by explicit steps and all their variations; a step of z radians
@@ -72,6 +72,7 @@ class Variations:
         stiff, both = kinds == 0, np.concatenate([j[kinds == 0], j[kinds < 2] + n])
         across = np.concatenate([row[stiff], row[kinds < 2]])
         self._given = Slots(across.ravel(), np.repeat(both, STAGES), (STAGES * n, 2 * n))
+        self._varying, self._steady = residual.varying, cast(Any, ())  # of an earlier step
 
     def matrix(self, entries: np.ndarray) -> sparse.csc_matrix:
         """The sum of the three (n x n) with these entries."""
@@ -89,17 +90,54 @@ class Variations:
         return float(np.sqrt(size))
 
     def over(self, h: float, slopes: np.ndarray, whole: np.ndarray) -> np.ndarray:
-        """A matrix (2n x m) of u, u' after a step h with entries (k x s) at its stages."""
-        n, kinds, inner = self.size, self.table[:, 2], self.rule.inner
-        parts, weights = np.array([h**2 * inner @ inner, h * inner, np.eye(STAGES)]), self.rule.weights
+        """A matrix (2n x m) of u, u' after a step h with entries (k x s) at its stages.
+
+        Where few rows vary, these add forces f = D y to steps that are all the same, D what slopes of coordinates y are
+        off those: y = Y w - Z f, and w goes to S w - B f.
+        """
+        n, varying = self.size, self._varying
+        (rows, i), (seen, j) = (np.unique(x, axis=0, return_inverse=True) for x in (varying[:, 0], varying[:, 1:]))
+        count, stages = rows.size * STAGES, np.arange(STAGES)
+        if count > FEW * n:
+            return self._ends(h, whole, self._stages_of(h, slopes, whole))
+        fixed = slopes[len(varying) :, 0]
+        if not self._steady or self._steady[0] != h or not np.array_equal(self._steady[1][len(varying) :, 0], fixed):
+            same, begin, push = slopes[:, :1], np.eye(2 * n, 2 * n + count), np.zeros((n, STAGES, 2 * n + count))
+            push[rows[:, None], stages, 2 * n + np.arange(count).reshape(-1, STAGES)] = 1.0
+            carried = self._stages_of(h, np.repeat(same, STAGES, axis=1), begin, push)
+            ends, felt = self._ends(h, begin, carried), self._felt(h, begin, carried, seen)
+            self._steady = h, same, *np.split(ends, [2 * n], axis=1), *np.split(felt, [2 * n], axis=1)
+        _, same, step, pushed, known, answers = self._steady
+        apart = np.zeros((rows.size, STAGES, len(seen), STAGES))
+        apart[i[:, None], stages, j[:, None], stages] = (slopes - same)[: len(varying)]
+        off = apart.reshape(count, -1)
+        forces = np.linalg.solve(np.eye(count) + off @ answers, off @ (known @ whole))
+        return np.asarray(step @ whole - pushed @ forces)
+
+    def _stages_of(self, h: float, slopes: np.ndarray, whole: np.ndarray, push: Any = 0.0) -> np.ndarray:
+        """u'' (n x s x m) at the stages of a step that begins with u, u' (2n x m), and of what pushes at them."""
+        kinds, inner = self.table[:, 2], self.rule.inner
+        parts = np.array([h**2 * inner @ inner, h * inner, np.eye(STAGES)])
         matrix = self._stages.matrix((slopes[:, :, None] * parts[kinds]).ravel())  # (row, stage i) by (column, stage j)
         stiff, damping = (slopes * (kinds == kind)[:, None] for kind in (0, 1))
         carried = (self.rule.points * h * stiff + damping)[kinds < 2]
         right = self._given.matrix(-np.concatenate([stiff[kinds == 0], carried]).ravel()) @ whole
-        stages = splu(matrix).solve(right).reshape(n, STAGES, -1)
-        moved = h**2 * np.einsum("nik,i->nk", stages, weights @ inner)
-        return np.vstack([whole[:n] + h * whole[n:] + moved,
-                          whole[n:] + h * np.einsum("nik,i->nk", stages, weights)])  # fmt: skip
+        right = right.reshape(self.size, STAGES, -1) + push
+        return np.asarray(splu(matrix).solve(right.reshape(self.size * STAGES, -1)).reshape(right.shape))
+
+    def _ends(self, h: float, whole: np.ndarray, stages: np.ndarray) -> np.ndarray:
+        """What u, u' that begin a step become, by u'' at its stages."""
+        (place, rate), weights = np.split(whole, 2), self.rule.weights
+        moved, faster = (np.einsum("nik,i->nk", stages, by) for by in (weights @ self.rule.inner, weights))
+        return np.vstack([place + h * rate + h**2 * moved, rate + h * faster])
+
+    def _felt(self, h: float, whole: np.ndarray, stages: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Some u (0), u' (1) or u'' (2) at the stages, in rows."""
+        (along, kinds), inner = seen.T, self.rule.inner
+        (place, rate), a = (part[along, None] for part in np.split(whole, 2)), stages[along]
+        q = place + h * self.rule.points[:, None] * rate + h**2 * inner @ inner @ a
+        every = np.stack([q, rate + h * inner @ a, a])
+        return np.asarray(every[kinds, np.arange(len(seen))].reshape(-1, whole.shape[1]))
 
 
 class Implicit:
@@ -112,39 +150,36 @@ class Implicit:
         self.linear = Variations(residual)
         rule, self.table = self.linear.rule, self.linear.table
         self.places, self.inner, self.weights = rule.points, rule.inner, rule.weights
+        self.square = self.inner @ self.inner
         values, vectors = np.linalg.eig(self.inner)
         own = values.imag > 0  # the others are their conjugates
         self.eigenvalues, self.out, self.into = values[own], vectors[:, own], np.linalg.inv(vectors)[own]
         self._factors, self._noise = cast(Any, ()), SETTLED  # of an earlier step; changes that are none
 
     def _slopes(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """dG/dq, dG/dv, dG/da (k x s, by `table`) at times (s) and n x s of each."""
-        motion = [q, v / self.pace, a / self.pace**2]
-        varying = self.residual.over(self.pace * times, motion, self.values)[1]
+        """dG/dq, dG/dv, dG/da (k x s, by `table`) at times (s) and s x n of each."""
+        motion = [q.T, v.T / self.pace, a.T / self.pace**2]
+        varying = self.residual.moving(self.pace * times, motion, self.values)
         fixed = np.broadcast_to(self.residual.fixed(self.values)[:, None], (len(self.residual.steady), times.size))
         return np.concatenate([varying, fixed]) / self.pace ** self.table[:, 2:]
 
     def _stepped(
         self, t: float, state: np.ndarray, h: float, a: np.ndarray, units: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The state after a step and its stages (n x s), from a guess of them. Raises `IntegrationError`."""
-        n, times, square = self.residual.size, t + h * self.places, self.inner @ self.inner
-        q0, v0 = state[:n, None], state[n:, None]
-
-        def stages(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return q0 + h * self.places * v0 + h**2 * a @ square.T, v0 + h * a @ self.inner.T
-
-        q, v = stages(a)
+        """The state after a step and its stages (s x n), from a guess of them. Raises `IntegrationError`."""
+        n, times = self.residual.size, t + h * self.places
+        still = np.hstack([state[:n] + h * self.places[:, None] * state[n:], np.tile(state[n:], (STAGES, 1))])
+        moves, sizes = np.stack([h**2 * self.square, h * self.inner], axis=1).reshape(-1, STAGES), h**2 / units[:n]
+        states = still + (moves @ a).reshape(still.shape)
         before, fresh = np.inf, not self._factors or self._factors[0] != h
         for _ in range(MOST):
             if fresh and np.isinf(before):
-                self._factors = h, *self._factored(times, h, q, v, a)
+                self._factors = h, *self._factored(times, h, states, a)
             _, mass, factors = self._factors
-            missed = self.many(times, np.hstack([q.T, v.T]))[:, n:].T - a
-            right = (mass @ missed) @ self.into.T
-            solved = np.array([factor.solve(np.ascontiguousarray(right[:, k])) for k, factor in enumerate(factors)])
-            change = 2 * (self.out @ solved).real.T
-            moved = float(np.abs(h**2 * change / units[:n, None]).max())
+            missed = self.many(times, states)[:, n:] - a
+            right = self.into @ (mass @ missed.T).T
+            change = 2 * (self.out @ factors.solve(right.ravel()).reshape(right.shape)).real
+            moved = float(np.abs(change * sizes).max())
             slow = not moved <= SLOWER * before
             if slow and not fresh and moved > self._noise:  # of an earlier step, far from here
                 before, fresh = np.inf, True
@@ -152,23 +187,25 @@ class Implicit:
             if not np.isfinite(moved):
                 break
             a = a + change
-            q, v = stages(a)
+            states = still + (moves @ a).reshape(still.shape)
             rests = moved > SLOW * before and moved < 1e-6
-            self._noise = max(self._noise, moved) if rests and fresh else self._noise
-            if moved <= SETTLED or rests or (slow and not fresh):
-                end = np.concatenate([q0[:, 0] + h * v0[:, 0] + h**2 * a @ (self.weights @ self.inner),
-                                      v0[:, 0] + h * a @ self.weights])  # fmt: skip
+            self._noise = max(self._noise, WAVERS * moved) if rests and fresh else self._noise
+            drowned = moved <= self._noise and not slow and before < np.inf
+            if moved <= SETTLED or rests or drowned or (slow and not fresh):
+                end = np.concatenate([state[:n] + h * state[n:] + h**2 * (self.weights @ self.inner) @ a,
+                                      state[n:] + h * self.weights @ a])  # fmt: skip
                 return end, a
             before = moved
         raise IntegrationError("the steps of an implicit method do not converge; start nearer to the motion")
 
-    def _factored(self, times: np.ndarray, h: float, *motion: np.ndarray) -> tuple[Any, list[Any]]:
+    def _factored(self, times: np.ndarray, h: float, states: np.ndarray, a: np.ndarray) -> tuple[Any, SuperLU]:
         """The masses and the factors of an iteration's matrices, in the middle of a step."""
         middle = slice(STAGES // 2, STAGES // 2 + 1)
-        slopes = self._slopes(times[middle], *(part[:, middle] for part in motion))[:, 0]
+        q, v = np.hsplit(states[middle], 2)
+        slopes = self._slopes(times[middle], q, v, a[middle])[:, 0]
         weights = (h * self.eigenvalues[:, None]) ** (2 - self.table[:, 2])
-        factors = [splu(self.linear.matrix(slopes * weight)) for weight in weights]
-        return self.linear.matrix(slopes * (self.table[:, 2] == 2)), factors
+        every = sparse.block_diag([self.linear.matrix(slopes * weight) for weight in weights], format="csc")
+        return self.linear.matrix(slopes * (self.table[:, 2] == 2)), splu(every)
 
     def path(
         self, state: np.ndarray, period: float, steps: int, units: np.ndarray, varied: np.ndarray | None = None
@@ -176,7 +213,7 @@ class Implicit:
         """States (steps + 1 x 2n) at equal times over a period, and what becomes of variations (2n x k) in each of its
         pieces. Raises `IntegrationError`."""
         n, h, now, pieces = self.residual.size, period / steps, np.asarray(state, float), list[np.ndarray]()
-        a = np.repeat(self.many(np.zeros(1), now[None])[:, n:].T, STAGES, axis=1)
+        a = np.repeat(self.many(np.zeros(1), now[None])[:, n:], STAGES, axis=0)
         whole, path = varied, [now]
         for k in range(steps):
             limit.check()
@@ -190,15 +227,15 @@ class Implicit:
     def both(
         self, t: float, state: np.ndarray, h: float, a: np.ndarray, units: np.ndarray, varied: np.ndarray | None
     ) -> tuple[np.ndarray, Any, np.ndarray]:
-        """A state (2n) and variations (2n x k) after a step, and the stages (n x s) that the next begins with."""
+        """A state (2n) and variations (2n x k) after a step, and the stages (s x n) that the next begins with."""
         end, a = self._stepped(t, state, h, a, units)
-        return end, None if varied is None else self._varied(t, state, h, a, varied), a @ self._ahead.T
+        return end, None if varied is None else self._varied(t, state, h, a, varied), self._ahead @ a
 
     def steps(self, state: np.ndarray, period: float) -> tuple[int, float]:
         """As many steps of a period as follow the fastest mode, a power of two, and what they are off by; infinitely so
         where that is stiff and there are fewer."""
         n = self.residual.size
-        slopes = self._slopes(np.zeros(1), state[:n, None], state[n:, None], np.zeros((n, 1)))[:, 0]
+        slopes = self._slopes(np.zeros(1), state[None, :n], state[None, n:], np.zeros((1, n)))[:, 0]
         turned = self.linear.fastest(slopes) * period
         if turned > RESOLVED * (FINEST if self.residual.names else FREE):
             return STEPS, np.inf
@@ -227,9 +264,9 @@ class Implicit:
     def _varied(self, t: float, state: np.ndarray, h: float, a: np.ndarray, whole: np.ndarray) -> np.ndarray:
         """A matrix (2n x k) of variations carried over a step with stages a."""
         n = self.residual.size
-        q = state[:n, None] + h * self.places * state[n:, None] + h**2 * a @ (self.inner @ self.inner).T
-        v = state[n:, None] + h * a @ self.inner.T
-        return self.linear.over(h, self._slopes(t + h * self.places, q, v, a), whole)
+        q = state[:n] + h * self.places[:, None] * state[n:] + h**2 * self.square @ a
+        slopes = self._slopes(t + h * self.places, q, state[n:] + h * self.inner @ a, a)
+        return self.linear.over(h, slopes, whole)
 
 
 def suits(model: Model) -> bool:
@@ -307,7 +344,7 @@ class ImplicitCheck:
         begin = along[:, None] / float(np.abs(along / units).max())
         now, back = np.asarray(state, float), begin
         h = period / STEPS
-        a = np.repeat(motion.many(np.zeros(1), now[None])[:, along.size // 2 :].T, STAGES, axis=1)
+        a = np.repeat(motion.many(np.zeros(1), now[None])[:, along.size // 2 :], STAGES, axis=0)
         for k in range(STEPS):
             now, back, a = motion.both(k * h, now, h, a, units, back)
         return float(np.abs((back - begin)[:, 0] / units).max())

@@ -19,6 +19,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.cvodes import Flow, transition
 from orbitfinder.integrate.equations import accelerations, action_rate, invariant_gradients, with_action
+from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.march import EFFORT, March, Marches, rounded, uniform
 from orbitfinder.integrate.rk8 import variational_field
 from orbitfinder.loops.ipopt import SolveSettings
@@ -321,7 +322,8 @@ def action(model: Model, times: np.ndarray, states: np.ndarray, march: March | N
     (L. N. Trefethen, J. A. C. Weideman, SIAM Review 56 (2014) 385-458).
     """
     if march is None:
-        rate = model.along(action_rate(model), times[None], np.asarray(states).T).ravel()
+        many = Buffered(action_rate(model).map(len(times)))
+        rate = many(times[:, None], np.asarray(states), model.parameter_values[None])[0].ravel()
     else:  # the same without CasADi's matrices, which take longer than what is in them
         quick = compiled(action_rate(model), effort=EFFORT)
         rate = march.along(quick, times[:, None], states, model.parameter_values[None]).ravel()
