@@ -1,7 +1,8 @@
 """Controlled motions beside rockit: same field, intervals, tolerance and run; results/benchmarks/control.md.
 
-`pip install rockit-meco` first. rockit's Runge-Kutta steps of order 4 are as many as bring its cost to 1e-8 of ours; it
-states and solves, here the solution is certified too. Seconds are those of the processor, the best of two.
+`pip install rockit-meco`, then `python benchmarks/control.py`. rockit's Runge-Kutta steps of order 4 are as many as
+bring its cost to 1e-8 of ours; it states and solves, here the solution is certified too. Seconds are those of the
+processor, the best of two.
 """
 
 from __future__ import annotations
