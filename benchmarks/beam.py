@@ -9,7 +9,7 @@ deflection (m) and the slope times the element's length (m), so that all coordin
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -40,8 +40,11 @@ def matrices(elements: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return m, 2 * SHARE * slowest * m, k
 
 
-def main(elements: int) -> None:
+def main() -> None:
     """Write the files."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("elements", type=int, nargs="?", default=100)
+    elements = parser.parse_args().elements
     FOLDER.mkdir(exist_ok=True)
     for name, matrix in zip(("mass", "damping", "stiffness"), matrices(elements), strict=True):
         comment = f"Euler-Bernoulli beam, {elements} elements, clamped: {name}; benchmarks/beam.py"
@@ -49,4 +52,4 @@ def main(elements: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
+    main()

@@ -26,7 +26,7 @@ from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow
 from orbitfinder.integrate.rk8 import variational_field
 from orbitfinder.loops import newton
 from orbitfinder.loops.loop import Loop
-from orbitfinder.orbits import objectives
+from orbitfinder.orbits import find, objectives
 from orbitfinder.orbits import shoot as solve
 
 STAGES = {
@@ -36,7 +36,7 @@ STAGES = {
     "polish": (solve, "_polished"),
     "minimal period": (solve, "_minimal"),
     "samples, multipliers": (solve, "measure"),
-    "certificate": (solve, "certify"),
+    "certificate": (find, "certified"),
 }
 ROUNDS = 15
 

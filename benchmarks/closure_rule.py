@@ -8,6 +8,7 @@ distance to the true orbit: the two numbers that a certificate asks about, and t
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -161,6 +162,7 @@ A distance of 0 says that the gap is within round-off.
 
 def main() -> None:
     """Measure everything and write the page."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     random = np.random.default_rng(0)
     true = [*shipped(), *arenstorf(), *unstable(), *upright()]
     found = [measured(case) for case in true]

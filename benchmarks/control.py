@@ -1,20 +1,22 @@
 """Controlled motions beside rockit: same field, intervals, tolerance and run; results/benchmarks/control.md.
 
-`pip install rockit-meco` first. rockit's Runge-Kutta steps of order 4 are as many as bring its cost to 1e-8 of ours; it
-states and solves, here the solution is certified too. Seconds are those of the processor, the best of two.
+`pip install rockit-meco`, then `python benchmarks/control.py`. rockit's Runge-Kutta steps of order 4 are as many as
+bring its cost to 1e-8 of ours; it states and solves, here the solution is certified too. Seconds are those of the
+processor, the best of two.
 """
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import casadi as ca
 import machine
 import numpy as np
-import rockit
 
 import orbitfinder as of
 from orbitfinder.mechanics.model import vector_field
@@ -45,6 +47,8 @@ def problems() -> dict[str, of.Problem]:
 
 def rockit_cost(problem: of.Problem, steps: int) -> float:
     """The same by rockit's multiple shooting."""
+    import rockit
+
     model = problem.model
     size, count = len(model.state_names), len(model.controls)
     pins = {one.name: one.value for one in problem.pin}
@@ -77,6 +81,9 @@ def timed(run: Callable[[], object]) -> tuple[float, object]:
 
 def main() -> None:
     """Measure and write the page."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    if find_spec("rockit") is None:
+        raise SystemExit("rockit is not installed; pip install rockit-meco")
     rows = []
     for name, problem in problems().items():
         seconds, orbit = timed(lambda p=problem: of.find_orbit(p, of.SolveSettings(with_certificate=False)))

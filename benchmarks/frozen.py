@@ -18,6 +18,7 @@ counted.
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import re
@@ -428,19 +429,21 @@ def compared(file: Path, parts: Iterable[str]) -> int:
 
 def main() -> None:
     """See the module."""
-    verb, target, *parts = [*sys.argv[1:], "", ""][: max(2, len(sys.argv) - 1)]
-    file = Path(target or BASELINE)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("verb", choices=("record", "compare"))
+    parser.add_argument("file", type=Path, nargs="?", default=BASELINE)
+    parser.add_argument("parts", nargs="*", metavar="PART")
+    chosen = parser.parse_args()
+    file, parts = chosen.file, chosen.parts
     if unknown := [part for part in parts if part not in ANSWERS]:
-        raise SystemExit(f"{unknown[0]}: no part; there are {', '.join(ANSWERS)}")
-    if verb == "record":
+        parser.error(f"{unknown[0]}: no part; there are {', '.join(ANSWERS)}")
+    if chosen.verb == "record":
         known = read(file) if file.exists() else {}
         for part, found in answers(parts or ANSWERS):
             known[part] = found
             file.write_text(json.dumps(known, separators=(",", ":")).replace("},", "},\n") + "\n")
-    elif verb == "compare":
-        raise SystemExit(1 if compared(file, parts) else 0)
     else:
-        raise SystemExit(__doc__)
+        raise SystemExit(1 if compared(file, parts) else 0)
 
 
 if __name__ == "__main__":

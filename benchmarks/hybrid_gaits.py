@@ -9,7 +9,7 @@ and periods of the orbits of problems/hybrid.
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -458,6 +458,8 @@ NAMES = (
 
 
 if __name__ == "__main__":
-    for one in sys.argv[1:] or NAMES:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="; ".join(NAMES))
+    for one in parser.parse_args().names or NAMES:
         state, period = again(one)
         print(f"{one}: period {period!r}, state {state.tolist()}")

@@ -4,8 +4,8 @@ two; results/benchmarks/maps.md. Each is a part of the page: `python benchmarks/
 
 from __future__ import annotations
 
+import argparse
 import resource
-import sys
 import time
 from pathlib import Path
 
@@ -71,9 +71,11 @@ def part(name: str) -> str:
 
 def main() -> None:
     """Measure and write the page, or the parts of it that are named."""
-    page = ROOT / "results" / "benchmarks" / "maps.md"
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("parts", nargs="*", metavar="PART", help="; ".join(PARTS))
+    page, chosen = ROOT / "results" / "benchmarks" / "maps.md", parser.parse_args().parts
     kept = {text.split("\n")[0]: f"## {text}" for text in page.read_text(encoding="utf-8").split("\n## ")[1:]}
-    fresh = {name: part(name) for name in sys.argv[1:] or PARTS}
+    fresh = {name: part(name) for name in chosen or PARTS}
     parts = [text.strip() + "\n" for name in PARTS if (text := (kept | fresh).get(name))]
     page.write_text("\n".join([HEAD, *parts]), encoding="utf-8")
     print(page.read_text(encoding="utf-8"))

@@ -8,6 +8,7 @@ several runs. The slope is that of the logarithm of the time of an evaluation ag
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Callable
 
@@ -47,6 +48,7 @@ def least(work: Callable[[], object], rounds: int = ROUNDS) -> float:
 
 def main() -> None:
     """Print the table and the slopes."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     print("| tree | bodies | derivation (s) | evaluation (ms) | step of RK8 (ms) |\n|---|---|---|---|---|")
     for name, children in (("row", 1), ("binary", 2)):
         times = []

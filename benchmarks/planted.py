@@ -10,8 +10,8 @@ writes the page there.
 
 from __future__ import annotations
 
+import argparse
 import re
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -336,7 +336,9 @@ def main() -> None:
     """Plant, certify, count, write the page."""
     table: Counter[tuple[str, bool, bool, bool]] = Counter()
     odd: list[str] = []
-    last, target = "", Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "results" / "validation" / "planted.md"
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", type=Path, nargs="?", default=ROOT / "results" / "validation" / "planted.md")
+    last, target = "", parser.parse_args().file
     for name, plant, right in planted():
         try:
             certificate = certify(plant.orbit, plant.model)

@@ -5,7 +5,7 @@ python benchmarks/robots.py [MODE ...]
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from dataclasses import replace
 
@@ -24,12 +24,15 @@ def amplitude(point, model):
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("modes", type=int, nargs="*", metavar="MODE", default=range(1, 8))
+    modes = parser.parse_args().modes
     began = time.process_time()
     of.robot("problems/robots/iiwa.urdf")
     print(f"derived in {time.process_time() - began:.2f} s")
     print("| mode | period (s) | points | amplitude (rad) | events | CPU s | ms a warm refinement, compiled |")
     print("|---|---|---|---|---|---|---|")
-    for mode in map(int, sys.argv[1:] or range(1, 8)):
+    for mode in modes:
         problem = of.load_problem(f"problems/robots/iiwa-mode-{mode}.toml")
         orbit = of.find_orbit(problem)
         energy = of.energy(problem.model, problem.guess.state * 0 + np.append(rest(problem), np.zeros(7)))

@@ -7,6 +7,7 @@ Prints what docs/how-to/tori.md tells: energy, states of the curve, width of the
 
 from __future__ import annotations
 
+import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ PROBLEM = Path(__file__).parents[1] / "problems" / "gallery" / "double-pendulum-
 
 def main() -> None:
     """The table, a line for each torus as it is found."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     problem = of.load_problem(PROBLEM)
     orbit = of.find_orbit(replace(problem, pin=of.pin(energy=-17.0)))
     began = time.perf_counter()

@@ -5,6 +5,7 @@ python benchmarks/variational.py [COMMIT|FOLDER]    a commit or a folder; 0.2.0 
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import subprocess
@@ -57,7 +58,9 @@ def measured(checkout: Path) -> dict[str, tuple[float, str]]:
 
 def main() -> None:
     """See the module."""
-    with checkout_of(sys.argv[1] if len(sys.argv) > 1 else BEFORE) as other:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("before", nargs="?", metavar="COMMIT|FOLDER", default=BEFORE)
+    with checkout_of(parser.parse_args().before) as other:
         mine, theirs = (measured(one) for one in (ROOT, other))
     for name, (now, bits) in mine.items():
         before, same = theirs[name][0], "the same bits" if bits == theirs[name][1] else "other bits"

@@ -1,6 +1,7 @@
 """The benchmarks: their equations are ours, what is missing is said, and the page is put together from its parts."""
 
 import re
+import subprocess
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,7 @@ import orbitfinder as of
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
+import breakdown  # noqa: E402
 import earlier  # noqa: E402
 import first_order  # noqa: E402
 import machine  # noqa: E402
@@ -120,6 +122,25 @@ def test_page_is_put_together(tmp_path, monkeypatch):
     assert "ended after 0.5 s" in said["slow"] and said["absent"] == "not run: no such script"
     text = run.assembled(said, ["the machine"])
     assert "## About good" in text and "| 7 |" in text and "introduction" not in text and "About bad" in text
+    (tmp_path / "README.md").write_text(text)
+    assert {name: run.standing(tmp_path / "README.md")[name] for name in ("good", "bad")} == {
+        name: said[name] for name in ("good", "bad")
+    } and run.standing(tmp_path / "none.md") == {}
+
+
+def test_the_breakdown_times_functions_that_are_there():
+    stages = {**breakdown.STAGES, "linear algebra": (breakdown.newton, "eliminated")}
+    assert [name for name, (module, function) in stages.items() if not callable(getattr(module, function, None))] == []
+
+
+@pytest.mark.slow
+def test_every_script_says_how_it_is_called():
+    """With --help, and without doing anything: a script that takes no notice of it overwrites its page."""
+    scripts = [file for file in sorted((ROOT / "benchmarks").glob("*.py")) if "__main__" in file.read_text()]
+    for script in scripts:
+        done = subprocess.run([sys.executable, script, "--help"], capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0 and done.stdout.startswith(f"usage: {script.name} [-h]"), script.name + done.stderr
+    assert len(scripts) > 30
 
 
 def test_machine_is_described_without_paths():

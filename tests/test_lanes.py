@@ -449,7 +449,16 @@ ODES = {
 )
 def test_a_flipped_sign_turns_the_certificate_red(name, flipped):
     """Even where nobody compares the library with the interpreter."""
-    turns_red(ODES[name] if name in ODES else printed_problem(name), flipped)
+    problem = ODES[name] if name in ODES else printed_problem(name)
+    if not subtracts(problem.model):
+        pytest.skip("this CasADi makes the equations without a minus")
+    turns_red(problem, flipped)
+
+
+def subtracts(model):
+    """Whether there is a sign to flip: CasADi 3.6 makes -x - x^3 a sum times -1."""
+    field = scalars(vector_field(model))
+    return ca.OP_SUB in [field.instruction_id(k) for k in range(field.n_instructions())]
 
 
 def turns_red(problem, flipped):
@@ -467,6 +476,8 @@ def test_an_orbit_of_the_flipped_equations_is_not_certified(flipped):
     period = 4 * quad(lambda a: (largest**2 * (1 + np.sin(a) ** 2) / 2 - 1) ** -0.5, 0, np.pi / 2)[0]
     flipped.setattr(kernel, "_agrees", lambda *_: True)
     problem = of.Problem(FUNCTIONS["duffing"](), of.Guess([largest, 0.0], period), pin=of.pin(x=largest))
+    if not subtracts(problem.model):
+        pytest.skip("this CasADi makes the equations without a minus")
     assert of.Refiner(problem).refine().period == pytest.approx(period, rel=1e-12)
     assert verdict(problem) is False
 
@@ -488,8 +499,7 @@ def test_a_flipped_sign_turns_all_shipped_orbits_red(flipped):
                 green = verdict(problem) is True
         except (OrbitfinderError, AssertionError, AttributeError):
             continue  # a search, an arc with controls, a machine with impacts
-        field = scalars(vector_field(problem.model))
-        if green and ca.OP_SUB in [field.instruction_id(k) for k in range(field.n_instructions())]:
+        if green and subtracts(problem.model):
             turns_red(problem, flipped)
             turned += 1
         forgotten(flipped)
