@@ -124,6 +124,21 @@ def test_beyond_a_fold_is_blank_with_its_reason():
     assert made.sample[:, 2].all() and np.all(np.diff(made.values("amplitude")[-1][made.known[-1]]) < 0)
 
 
+def test_steps_between_distant_pixels_are_as_short_as_they_must_be():
+    """Three pixels along a resonance are orbits of thirty; a clock that stands still is a sentence."""
+    model = of.systems.forced_duffing(stiffness=1.0, cubic=1.0, damping=0.1, force=0.3, frequency=0.6)
+    low = of.Problem(model, of.guesses.linear_response(model), name="low")
+    force = [0.25, 0.3]
+    coarse, fine = (of.map_plane(low, frequency=np.linspace(0.6, 1.6, k), force=force, sample=0) for k in (3, 31))
+    assert np.allclose(coarse.nodes[:, :, 0], fine.nodes[:, ::15, 0], atol=1e-9) and coarse.known.all()
+    with pytest.raises(InputError, match="frequency: at -0.5 the period of the forcing is -12.5664 s; give values"):
+        of.map_plane(low, frequency=[-0.5, 0.5], force=force)
+    with pytest.raises(InputError, match="frequency: at 0 the period of the forcing is inf s; give values"):
+        of.bifurcation(low, frequency=[0.0, 0.5])
+    with pytest.raises(InputError, match="frequency: at -0.5 the period"):
+        of.sweep(low, frequency=[-0.5, 0.5])
+
+
 def test_what_is_stopped_is_blank():
     made = of.map_plane(problem(), PLANE, sample=1, limit=1e-3)
     assert (made.blank == STOPPED).sum() > 50 and BLANK[STOPPED] in made.counts

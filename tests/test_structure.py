@@ -128,6 +128,47 @@ linear = true
         assert said in str(error.value), str(error.value)
 
 
+SYMMETRIC = "%%matrixmarket Matrix coordinate real symmetric\n% rows from 1\n"
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        (f"{SYMMETRIC}2 2 3\n1 1 2.0D3\n2 1 -1.0d0\n\n2 2 +2e3\n", [[2000, -1], [-1, 2000]]),  # as Fortran writes
+        (f"{SYMMETRIC}2 2 3\n1 1 2\n1 2 -1\n2 2 3\n", [[2, -1], [-1, 3]]),  # the upper triangle
+        (f"{SYMMETRIC}2 2 4\n1 1 2\n1 1 1\n2 1 -1\n2 2 3\n", [[3, -1], [-1, 3]]),  # not assembled
+        ("%%MatrixMarket matrix array double symmetric\n2 2\n2\n-1\n3\n", [[2, -1], [-1, 3]]),
+        ("%%MatrixMarket matrix array real general\n2 2\n2 0\n1\n3\n", [[2, 1], [0, 3]]),
+        ("%%MatrixMarket matrix coordinate integer skew-symmetric\r\n2 2 1\r\n2 1 4\r\n", [[0, -4], [4, 0]]),
+        (f"{SYMMETRIC}2 2 4\n1 1 2\n2 1 -1\n1 2 -1\n2 2 3\n", "symmetric, yet it has 1,2 and 2,1"),
+        (f"{SYMMETRIC}2 2 2\n0 0 2\n1 1 3\n", "an entry lies outside 2 x 2; rows and columns count from 1"),
+        (f"{SYMMETRIC}2 2 3\n1 1 2\n2 2 3\n", "it has 2 entries, not 3"),
+        (f"{SYMMETRIC}2 2 1\n1 1 2,5\n", "could not convert string to float: '2,5'"),
+        (f"{SYMMETRIC}2 2 1\n1 1 2 0.1\n", "a line of it is not a row, a column and a number"),
+        ("%%MatrixMarket matrix coordinate pattern symmetric\n2 2 1\n1 1\n", "pattern symmetric' is not matrix"),
+    ],
+)
+def test_other_programs_files_are_what_they_mean_or_refused(written, meant):
+    """Read into the damping, which need not be symmetric; SciPy takes the first for 2 and adds the seventh up."""
+    if isinstance(meant, list):
+        model = of.structure(np.eye(2), written, np.eye(2))
+        pulled = [model.acceleration(0, [0, 0], v, []).full().ravel() for v in np.eye(2)]
+        assert np.array_equal(np.transpose(pulled), -np.array(meant))
+    else:
+        with pytest.raises(InputError) as error:
+            of.structure(np.eye(2), written, np.eye(2))
+        assert "damping: text is no matrix (" in str(error.value) and meant in str(error.value), str(error.value)
+
+
+def test_the_frequency_of_the_load_may_be_shared():
+    model = built(forcing=FORCING | {"frequency": "omega"}, parameters={"shared": 0.4, "omega": 1.2})
+    assert "omega" in model.parameter_names and "frequency" not in model.parameter_names
+    assert float(model.forcing_period([*model.parameter_values])) == pytest.approx(2 * np.pi / 1.2)
+    point = (0.3, [0.1, 0.5, -0.6], [0.2, 0.1, 0.0])
+    values = [one.acceleration(*point, one.parameter_values).full() for one in (model, built())]
+    assert values[0] == pytest.approx(values[1], rel=1e-14)
+
+
 def element(**given):
     return {"elements": {"tip": {"kind": "cubic", "at": "q1", "stiffness": 1.0} | given}, "parameters": {}}
 
@@ -144,6 +185,16 @@ def element(**given):
         ({"stiffness": np.triu(STIFF)}, "stiffness: not symmetric: entries 1,2 and 2,1 are -1 and 0"),
         ({"stiffness": np.full((3, 3), np.nan)}, "stiffness: has entries that are not finite"),
         ({"stiffness": [["a"]]}, "stiffness: no matrix of numbers"),
+        (
+            {"stiffness": STIFF * (1 + 0.1j)},
+            "stiffness: no matrix of numbers (complex128 entries: make damping viscous)",
+        ),
+        (element(kind=["cubic"]), "elements.tip.kind: unknown ['cubic'], did you mean 'cubic'?"),
+        (element(kind="stop", gap=0.1, smoothing=0.1, stiffness=-1.0), "elements.tip.stiffness: must not be negative"),
+        (element(stiffness="q1") | {"parameters": {"q1": 1.0}}, "names: 'q1' would name two things"),
+        ({"elements": {"tip": "cubic"}}, "elements: expected names with a table, {name: ...} each"),
+        ({"forcing": FORCING | {"at": ["q1", "q2"]}}, "forcing.at: ['q1', 'q2'] is no coordinate"),
+        ({"forcing": FORCING | {"at": {}}}, "forcing.at: {} is no coordinate"),
         (element(kind="cubik"), "elements.tip.kind: unknown 'cubik', did you mean 'cubic'?"),
         (element(at="q9"), "elements.tip.at: 'q9' is no coordinate"),
         (element(to="q1"), "elements.tip.to: 'q1' at both ends"),

@@ -142,6 +142,8 @@ def _expected(part: str) -> str:
         return KINDS[part][1]
     if part.startswith("Callable["):
         return "a function"
+    if part.endswith(", Any]"):
+        return "a table, {name: ...}"
     if match := MAPPING.fullmatch(part):
         return f"names with {_expected(match[1])} each, {{name: ...}}"
     if match := SEQUENCE.fullmatch(part):

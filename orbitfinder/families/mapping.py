@@ -136,6 +136,7 @@ def _axes(model: Model, given: Mapping[str, Sequence[float]]) -> tuple[tuple[str
             raise InputError(f"{name}: must be a list of numbers, got {shortened(given[name])}") from error
         if axis.size < 2 or not np.isfinite(axis).all():
             raise InputError(f"{name}: must be two different finite numbers at least, got {shortened(given[name])}")
+        model.check_clock(name, axis)
         axes.append(axis)
     return names, (axes[0], axes[1])
 

@@ -1,7 +1,7 @@
 """Orbits over a rectangle of a plane of two parameters, each continued from its neighbour, many beside each other.
 
 A pixel's orbit is predicted by a polynomial through the last ones of a row or column that leads to it, and corrected.
-What does not converge is tried once more in shorter steps, and then from each other side on which an orbit is known.
+What does not converge is tried again in shorter steps, and then from each other side on which an orbit is known.
 Pixels do not depend on how many are marched together, nor on who does it.
 """
 
@@ -34,7 +34,7 @@ from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.orbits.refine import STANDSTILL
 from orbitfinder.records.codec import plain
 
-BEHIND, TRIES, FAR, SIDES = 4, (1, 4), 0.1, ((0, -1), (0, 1), (-1, 0), (1, 0))
+BEHIND, TRIES, FAR, SIDES = 4, (1, 4, 16), 0.1, ((0, -1), (0, 1), (-1, 0), (1, 0))
 """Orbits behind a pixel that a prediction goes by, at most; steps in which it is reached from its neighbour, try after
 try; a node or period farther than this from what was predicted, relative to the motion, is another orbit's; where
 neighbours are, in the order in which they are asked"""

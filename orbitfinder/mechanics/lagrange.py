@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, shortened
 from orbitfinder.mechanics.controls import Limits, checked_controls, checked_limits, divided
 from orbitfinder.mechanics.factorise import acceleration_function
 from orbitfinder.mechanics.model import Drive, Dynamics, Invariant, Mechanics, Model, Structure, altered
@@ -312,16 +313,15 @@ def mechanical_model(
 def coordinate_names(names: Sequence[str] | None, symbols: Symbols) -> tuple[str, ...]:
     """Names of the coordinates, q1, q2, ... without any; `InputError` unless one each, and none twice or taken."""
     count = symbols.coordinates.numel()
-    if names is None:
-        return tuple(f"q{i + 1}" for i in range(count))
+    names = [f"q{i + 1}" for i in range(count)] if names is None else names
     if len(names) != count:
         raise InputError(f"names: {len(names)} given for {count} coordinates, {list(names)}; give one per coordinate")
-    everything = [*names, *(f"{name}dot" for name in names), "energy", "period"]
-    twice = sorted({name for name in everything if everything.count(name) > 1})
+    everything = [*names, *(f"{name}dot" for name in names), *symbols.parameter_names, "energy", "period"]
+    twice = sorted(name for name, count in Counter(everything).items() if count > 1)
     if twice:
         raise InputError(
-            f"names: {', '.join(map(repr, twice))} would name two things (rates get a trailing 'dot', 'energy' and "
-            f"'period' are taken), got {list(names)}; give different ones"
+            f"names: {', '.join(map(repr, twice))} would name two things (rates get a trailing 'dot', parameters have "
+            f"names too, 'energy' and 'period' are taken), got {shortened(str(list(names)), 80)}; give different ones"
         )
     return tuple(names)
 

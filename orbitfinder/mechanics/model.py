@@ -381,6 +381,16 @@ class Model(Shown):
             return 0
         return max(1, round(period / float(self.forcing_period(self.parameter_values))))
 
+    def check_clock(self, name: str, numbers: Sequence[float] | np.ndarray) -> None:
+        """`InputError` for values of a physical parameter at which the forcing has no period."""
+        if self.forcing_period is None or name not in self.parameter_names:
+            return
+        for number in numbers:
+            clock = float(self.forcing_period(self.parameters([name], ca.DM([number]))))
+            if not 0 < clock < np.inf:
+                raise InputError(f"{name}: at {number:g} the period of the forcing is {clock:g} s; give values where "
+                                 "it is positive")  # fmt: skip
+
     def parameters(self, free: Sequence[str] = (), symbols: Any = None) -> Any:
         """The vector p with the parameters named in `free` replaced by the entries of `symbols`."""
         values = type(symbols)(ca.DM(self.parameter_values)) if free else ca.DM(self.parameter_values)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from scipy import sparse
-from scipy.io import mmread
 from scipy.sparse.linalg import SuperLU, splu
 
 from orbitfinder._runtime.arguments import checked
@@ -23,8 +23,10 @@ from orbitfinder.records.reading import file_beside, file_bytes
 
 Matrix = Any
 """Dense, SciPy's sparse, the path of a Matrix Market (.mtx) or NumPy file (.npz), or Matrix Market text"""
-MARKET, MATRICES = "%%MatrixMarket", ("mass", "damping", "stiffness")
-"""What Matrix Market text begins with; the matrices of a structure"""
+MARKET, MATRICES, FORMATS = "%%MatrixMarket", ("mass", "damping", "stiffness"), (
+    ("matrix",), ("coordinate", "array"), ("real", "double", "integer"), ("general", "symmetric", "skew-symmetric"),
+)  # fmt: skip
+"""What Matrix Market text begins with; the matrices of a structure; the words after that beginning"""
 SYMMETRIC, SINGULAR = 1e-9, 1e-13
 """Shares of the largest entry by which a symmetric matrix may differ from its transpose, and of the largest pivot
 below which a pivot is none"""
@@ -130,7 +132,7 @@ def market(matrix: Any) -> str:
 
 def _is_text(given: str) -> bool:
     """Whether it is a matrix, and not a file's name."""
-    return given.lstrip().startswith(MARKET)
+    return given.lstrip()[: len(MARKET)].lower() == MARKET.lower()
 
 
 def _matrix(name: str, given: Matrix) -> Any:
@@ -139,6 +141,9 @@ def _matrix(name: str, given: Matrix) -> Any:
         text = str(given)
         given = _read(name, "text", text.encode()) if _is_text(text) else _read(name, *_file(name, Path(text)))
     try:
+        given = given if sparse.issparse(given) else np.asarray(given)
+        if given.dtype.kind not in "buif":
+            raise ValueError(f"{given.dtype} entries" + ": make damping viscous" * (given.dtype.kind == "c"))
         columns = sparse.csc_matrix(given, dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: no matrix of numbers ({shortened(error, 80)}); give n x n real numbers") from error
@@ -168,13 +173,46 @@ def _read(name: str, file: str, data: bytes) -> Any:
                 if len(archive.files) != 1:
                     raise ValueError(f"it has {len(archive.files)} arrays, a single array is wanted")
                 return archive[archive.files[0]]
-        if not data.lstrip().startswith(MARKET.encode()):
+        if not _is_text(text := data.decode(errors="replace")):
             raise ValueError(f"it begins with neither {MARKET} nor as .npz does")
-        return mmread(BytesIO(data.lstrip()))
+        return _parsed(text)
     except Exception as error:  # of SciPy, NumPy and zipfile: what they raise has no common base
         raise InputError(
             f"{name}: {file} is no matrix ({shortened(error, 120)}); give a Matrix Market or .npz file"
         ) from error
+
+
+def _parsed(text: str) -> Any:
+    """The matrix in Matrix Market text, strictly. SciPy's reader takes Fortran's 2.0D3 for 2, adds up both triangles of
+    what is said to be symmetric, and reads ones where there are no numbers. Raises `ValueError`."""
+    header, *body = text.strip().splitlines()
+    kind = tuple(header.lower().split()[1:])
+    if kind not in set(product(*FORMATS)):
+        raise ValueError(f"its header {header!r} is not {' '.join('|'.join(words) for words in FORMATS)}")
+    lines = [line.lower().replace("d", "e").split() for line in body if line.strip() and line.lstrip()[0] != "%"]
+    (high, wide, *count), *rows = [[float(word) for word in line] for line in lines]
+    shape = int(high), int(wide)
+    if kind[1] == "array":
+        j, i = np.nonzero(np.tri(*shape, {"general": shape[1], "symmetric": 0}.get(kind[3], -1)).T)
+        x, count = np.array([x for row in rows for x in row]), [len(i)]
+    else:
+        if any(len(row) != 3 for row in rows):
+            raise ValueError("a line of it is not a row, a column and a number")
+        i, j, x = np.array(rows).reshape(-1, 3).T
+        i, j = i.astype(int) - 1, j.astype(int) - 1
+        if not np.all((i >= 0) & (i < high) & (j >= 0) & (j < wide)):
+            raise ValueError(f"an entry lies outside {shape[0]} x {shape[1]}; rows and columns count from 1")
+    if [len(x)] != count:
+        raise ValueError(f"it has {len(x)} entries, not {' '.join(f'{number:g}' for number in count)}")
+    given, off = sparse.coo_matrix((x, (i, j)), shape), i != j
+    if kind[3] == "general":
+        return given
+    pairs = set(zip(i[off].tolist(), j[off].tolist(), strict=True))
+    if both := sorted(pairs & {(b, a) for a, b in pairs}):
+        a, b = both[0][0] + 1, both[0][1] + 1
+        raise ValueError(f"{kind[3]}, yet it has {a},{b} and {b},{a}: keep a triangle, or call it general")
+    mirrored = x[off] if kind[3] == "symmetric" else -x[off]
+    return given + sparse.coo_matrix((mirrored, (j[off], i[off])), shape)
 
 
 def _symmetric(name: str, matrix: Any) -> Any:
@@ -243,12 +281,14 @@ def _ramped(x: Any, w: Any) -> Any:
 
 @dataclass(frozen=True)
 class Element:
-    """A kind of element: its numbers, its force on d (of friction on d') and what that is the slope of."""
+    """A kind of element: its numbers, its force on d (of friction on d'), what that is the slope of, and the
+    numbers that are not negative."""
 
     numbers: tuple[str, ...]
     force: Callable[..., Any]
     potential: Callable[..., Any] | None = None
     sided: bool = False
+    signed: tuple[str, ...] = ()
 
 
 ELEMENTS = {
@@ -256,12 +296,13 @@ ELEMENTS = {
     "stop": Element(
         ("stiffness", "gap", "smoothing"), lambda d, k, g, w: k * _ramp(d - g, w),
         lambda d, k, g, w: k * _ramped(d - g, w), sided=True,
+        signed=("stiffness",),
     ),
     "gap": Element(
         ("stiffness", "gap", "smoothing"), lambda d, k, g, w: k * (_ramp(d - g, w) - _ramp(-d - g, w)),
-        lambda d, k, g, w: k * (_ramped(d - g, w) + _ramped(-d - g, w)),
+        lambda d, k, g, w: k * (_ramped(d - g, w) + _ramped(-d - g, w)), signed=("stiffness",),
     ),
-    "friction": Element(("limit", "smoothing"), lambda d, f, w: f * ca.tanh(d / w)),
+    "friction": Element(("limit", "smoothing"), lambda d, f, w: f * ca.tanh(d / w), signed=("limit",)),
 }  # fmt: skip
 """The kinds of elements by name"""
 
@@ -276,13 +317,14 @@ class _Written:
         self.given = {name: _number(f"parameters.{name}", value) for name, value in given.items()}
         self.values, self.numbers, self.held = dict[str, float](), dict[str, Any](), set[int]()
         self.potential, self.inner, self.outer = ca.SX(0), ca.SX(size, 1), ca.SX(size, 1)
+        self.clock: Any = None
 
     def add(self, name: str, given: Mapping[str, Any]) -> None:
         """One element. Raises `InputError`."""
         where, kind = f"elements.{name}", given.get("kind")
         if not str(name).isidentifier():
             raise InputError(f"{where}: no name; use letters, digits and _")
-        if kind not in ELEMENTS:
+        if not isinstance(kind, str) or kind not in ELEMENTS:
             raise InputError(f"{where}.kind: unknown {kind!r}{closest(str(kind), ELEMENTS)}; use {', '.join(ELEMENTS)}")
         element = ELEMENTS[kind]
         taken = ("kind", "at", "to", *element.numbers, *(("side",) if element.sided else ()))
@@ -292,6 +334,9 @@ class _Written:
         if side not in (1, -1):
             raise InputError(f"{where}.side: must be 1 or -1, got {side!r}; 1 stops motion towards positive values")
         numbers = [self._parameter(where, f"{name}_{key}", given.get(key), key) for key in element.numbers]
+        for key in element.signed:
+            if (number := self.values[given[key] if isinstance(given[key], str) else f"{name}_{key}"]) < 0:
+                raise InputError(f"{where}.{key}: must not be negative, got {number}; a {kind} element only resists")
         ends = [(self._place(f"{where}.at", given.get("at")), side)]
         ends += [(self._place(f"{where}.to", given["to"]), -side)] if "to" in given else []
         if len(ends) == 2 and ends[0][0] == ends[1][0]:
@@ -313,11 +358,12 @@ class _Written:
         amplitude, omega = (
             self._parameter("forcing", name, given.get(name), name) for name in ("amplitude", "frequency")
         )
-        if not self.values["frequency"] > 0:
-            raise InputError(f"forcing.frequency: must be positive, got {self.values['frequency']}; give rad/s")
+        self.clock = omega
+        if not (number := self.values[omega.name()]) > 0:
+            raise InputError(f"forcing.frequency: must be positive, got {number}; give rad/s")
         load = amplitude * ca.cos(omega * self.t + _number("forcing.phase", given.get("phase", 0.0)))
         at = given.get("at")
-        for name, share in (at if isinstance(at, Mapping) else {at: 1.0}).items():
+        for name, share in at.items() if isinstance(at, Mapping) and at else [(at, 1.0)]:
             self.outer[self._place("forcing.at", name)] += _number(f"forcing.at.{name}", share) * load
 
     def _parameter(self, where: str, name: str, value: Any, key: str) -> Any:
@@ -352,12 +398,13 @@ class _Written:
             raise InputError(
                 f"parameters: nothing uses {unknown[0]!r}{closest(unknown[0], self.numbers)}; there are {some}"
             )
-        forced = "frequency" in self.numbers and ca.depends_on(self.outer, self.t)
-        return Symbols(
+        forced = self.clock is not None and ca.depends_on(self.outer, self.t)
+        symbols = Symbols(
             self.q, self.v, ca.vertcat(*self.numbers.values()) if self.numbers else None, tuple(self.numbers),
-            tuple(self.values.values()), self.t if forced else None,
-            2 * np.pi / self.numbers["frequency"] if forced else None,
+            tuple(self.values.values()), self.t if forced else None, 2 * np.pi / self.clock if forced else None,
         )  # fmt: skip
+        coordinate_names(self.names, symbols)
+        return symbols
 
 
 def _number(where: str, value: Any) -> float:

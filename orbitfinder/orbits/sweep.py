@@ -253,6 +253,7 @@ def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, 
             raise InputError(f"{name}: must be a list of numbers, got {shortened(numbers)}") from error
         if not table[name] or not np.all(np.isfinite(table[name])):
             raise InputError(f"{name}: must be finite numbers, at least one, got {shortened(numbers)}")
+        problem.model.check_clock(name, table[name])
     if len({len(numbers) for numbers in table.values()}) > 1:
         sizes = ", ".join(f"{len(numbers)} of {name}" for name, numbers in table.items())
         raise InputError(f"values: {sizes}; parameters that change together need equally many")

@@ -338,6 +338,7 @@ def _axis(model: Model, given: Mapping[str, Sequence[float]]) -> tuple[str, np.n
         raise InputError(f"{name}: must be a list of numbers, got {shortened(numbers)}") from error
     if not axis.size or not np.isfinite(axis).all():
         raise InputError(f"{name}: must be finite numbers, got {shortened(numbers)}")
+    model.check_clock(name, axis)
     return name, axis
 
 
