@@ -234,7 +234,8 @@ def library(code: str, opened: Callable[[Path, bool], T], effort: float | None, 
 
     def holds(path: Path, new: bool) -> T:
         try:
-            return holding(path, numbers, lambda own: opened(own, new))
+            with holding(path, numbers) as own:
+                return opened(own, new)
         except (ValueError, Unavailable) as error:
             path.unlink(missing_ok=True)  # of which a copy may have been opened
             raise Unavailable(str(error)) from None

@@ -1,7 +1,7 @@
 """The numbers of generated C as data, so that equations at other values of their parameters need no other library.
 
     code, numbers = apart(code)               # "a3=9.81;" has become "a3=HELD[0];"
-    holding(path, numbers, opened)            # what `opened` makes of a library that holds these
+    with holding(path, numbers) as own: ...   # a library that holds these
 
 Whatever is written out by CasADi or in lanes has a constant for each number that a parameter enters, and the same text
 but for those. A process loads a file as often as it is to hold other numbers, each time but the first by another name:
@@ -16,19 +16,20 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
-T = TypeVar("T")
-_CONSTANT = re.compile(
-    r"\b([aw]\d+ ?= ?(?:all\()?|casadi_fill\(w\d+, \d+, )"
-    r"(-?(?:0x[\da-f.]+p[+-]\d+|\d+\.(?:\d+e[+-]\d+)?))(?=\)?;)"
+_CONSTANT, _TABLE, _REMARK = (
+    re.compile(
+        r"\b([aw]\d+ ?= ?(?:all\()?|casadi_fill\(w\d+, \d+, )"
+        r"(-?(?:0x[\da-f.]+p[+-]\d+|\d+\.(?:\d+e[+-]\d+)?))(?=\)?;)"
+    ),
+    re.compile(r"static const casadi_real (casadi_c\d+)\[(\d+)\] =\s*\{([-+.,\de\s]+)\};"),
+    re.compile(r"/\* #\d+: .*?\*/", re.DOTALL),
 )
-_REMARK = re.compile(r"/\* #\d+: .*?\*/", re.DOTALL)
-_TABLE = re.compile(r"static const casadi_real (casadi_c\d+)\[(\d+)\] =\s*\{([-+.,\de\s]+)\};")
+"""What CasADi and `lanes.emit` write of a number, of several, and about them"""
 _held: dict[Path, bytes] = {}
 """What the libraries of this process hold that were loaded by their own names"""
 
@@ -57,22 +58,24 @@ def apart(code: str) -> tuple[str, np.ndarray]:
     return "\n".join([code, *lines, *tables, "}", ""]), np.array(numbers)
 
 
-def holding(path: Path, numbers: np.ndarray, opened: Callable[[Path], T]) -> T:
-    """What `opened` makes of a library that holds these numbers, apart from any that holds others. Raises `ValueError`
-    for what is no such library."""
+@contextlib.contextmanager
+def holding(path: Path, numbers: np.ndarray) -> Iterator[Path]:
+    """A name of the library, for the time that it is opened, by which it holds these numbers, apart from any that holds
+    others. Raises `ValueError` for what is no such library."""
     if not numbers.size:
-        return opened(path)
-    if _held.setdefault(path, numbers.tobytes()) == numbers.tobytes():
-        return opened(_filled(path, numbers))
-    handle, name = tempfile.mkstemp(prefix="making-", suffix=".so", dir=path.parent)
-    os.close(handle)
-    copy = Path(name)
-    try:
-        shutil.copy(path, copy)
-        return opened(_filled(copy, numbers))
-    finally:
-        with contextlib.suppress(OSError):  # Windows keeps what is loaded, until it is stale
-            copy.unlink()
+        yield path
+    elif _held.setdefault(path, numbers.tobytes()) == numbers.tobytes():
+        yield _filled(path, numbers)
+    else:
+        handle, name = tempfile.mkstemp(prefix="making-", suffix=".so", dir=path.parent)
+        os.close(handle)
+        copy = Path(name)
+        try:
+            shutil.copy(path, copy)
+            yield _filled(copy, numbers)
+        finally:
+            with contextlib.suppress(OSError):  # Windows keeps what is loaded, until it is stale
+                copy.unlink()
 
 
 def _filled(path: Path, numbers: np.ndarray) -> Path:
