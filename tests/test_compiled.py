@@ -6,6 +6,7 @@ import stat
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from conftest import quick_compiler
 from platformdirs.macos import MacOS
 from platformdirs.unix import Unix
 
+import orbitfinder as of
 from orbitfinder._runtime import locks
 from orbitfinder._runtime.caches import Kept
 from orbitfinder.cli.options import compile_option
@@ -39,7 +41,9 @@ from orbitfinder.integrate.compiled import (
     with_derivatives,
 )
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow
+from orbitfinder.integrate.lanes.kernel import kernel
 from orbitfinder.integrate.rk8 import march, marcher
+from orbitfinder.mechanics.model import vector_field
 from orbitfinder.mechanisms.chain import chain
 
 pytestmark = pytest.mark.skipif(not available()[0], reason="no C compiler: " + available()[1])
@@ -176,6 +180,52 @@ def test_second_run_compiles_nothing(monkeypatch):
     forget(monkeypatch)
     monkeypatch.setattr(rooms, "make_library", None)
     assert compiled(example()) is not None and (statistics().made, statistics().loaded) == (0, 1)
+
+
+def scaled(factor: float) -> ca.Function:
+    """Numbers in the text, in a table and in a vector of equal ones."""
+    x = ca.MX.sym("x", 3)
+    table = ca.DM([[1.5, 0, 2], [0, -3.25, 4], [1, 1, 1]]) * factor
+    return ca.Function("scaled", [x], [table @ x + factor * ca.sin(x) - ca.MX(ca.DM([factor / 7] * 3))])
+
+
+def attractor(rho: float) -> ca.Function:
+    return vector_field(of.systems.lorenz(rho=rho))
+
+
+@pytest.mark.parametrize("make", [example, scaled, attractor])
+def test_other_numbers_need_no_other_library(make, monkeypatch, fresh):
+    """All at once, each as the interpreter has it, in whatever order; nothing stays behind but the entry."""
+    point, values = np.array([0.3, 0.7, -0.4]), (2.5, -1.25, 0.3, 28.0)
+
+    def asked(function: ca.Function) -> Callable[[], ca.DM]:
+        if make is attractor:
+            fast = kernel(function, None, alone=True)
+            return lambda: fast.rates(np.zeros(1), point[None], np.zeros((1, 0))).T
+        quick = compiled(function)
+        return lambda: quick.call([point])[0]
+
+    for order in (values, values[::-1]):
+        fast = {value: asked(make(value)) for value in order}
+        for value, call in fast.items():
+            given = [0.0, point, [], []] if make is attractor else [point]
+            np.testing.assert_array_equal(call(), make(value).call(given)[0])
+        assert statistics().made == (order is values) and not statistics().left
+        assert len(list(fresh.glob("*.so"))) == 1 and not list(fresh.glob("making-*"))
+        forget(monkeypatch)
+
+
+def test_a_library_that_takes_no_numbers_is_made_again(monkeypatch, fresh):
+    """Of another kind, under the name and the digest of the right one."""
+    compiled(example(2.5))
+    (entry,) = fresh.glob("*.so")
+    other = make_library(find_compiler(), "int f;", fresh)
+    entry.unlink()
+    entry = entry.with_stem(f"{entry.stem.partition('-')[0]}-{rooms.digest(other.read_bytes())}")
+    os.replace(other, entry)
+    forget(monkeypatch)
+    fast = compiled(example(2.5))
+    assert fast.class_name() == "External" and statistics().made == 1 and not entry.exists()
 
 
 def test_second_process_compiles_nothing(fresh):

@@ -13,10 +13,11 @@ import pytest
 from click.testing import CliRunner
 
 import orbitfinder as of
-from orbitfinder.atlas.controlled import problem_of, statement
+from orbitfinder.atlas.controlled import Controlled, problem_of, statement
 from orbitfinder.atlas.export import exported
 from orbitfinder.atlas.signature import signature_of
 from orbitfinder.cli.group import cli
+from orbitfinder.control import program
 from orbitfinder.errors import InputError
 from orbitfinder.exports.source import samples_of
 from orbitfinder.families.members import whole
@@ -102,6 +103,23 @@ def test_many_starts_lead_to_both_optima_of_the_closed_form(book: Path) -> None:
     assert all(orbit.certificate and orbit.certificate.passed for orbit in orbits)
     assert [strategy for strategy, _ in starts] == ["loop", "push", "loop", "near"]
     assert [outcome for _, outcome in starts].count("duplicate") == 2
+
+
+def test_a_program_is_derived_once_and_leads_wherever_a_fresh_one_does(
+    problem: of.Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, true = list[str](), program.minimiser
+    monkeypatch.setattr(program, "minimiser", lambda *given: made.append(given[0]) or true(*given))
+    controlled = Controlled.of(problem, (4.0, 6.0))
+    drawn = [controlled.drawn("loop", np.random.default_rng(seed)) for seed in (1, 2)]
+    controlled.orbit(drawn[0])
+    made.clear()
+    after, _ = controlled.orbit(drawn[1])
+    assert not made
+    program._arrangements.clear()
+    fresh, _ = controlled.orbit(drawn[1])
+    assert made and fresh.control == after.control
+    assert np.array_equal(fresh.nodes, after.nodes) and fresh.period == after.period
 
 
 def test_it_goes_on_where_it_stopped(book: Path, problem: of.Problem) -> None:

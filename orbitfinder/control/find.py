@@ -16,19 +16,22 @@ Source: A. Bryson, Y. Ho, Applied Optimal Control (1975), sections 2.5, 2.7, 3.1
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from threading import get_ident
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from orbitfinder._runtime.caches import Kept
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.control.program import Optimum, Program, arranged, mirror_of, optimum
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, Trace, integrate
+from orbitfinder.integrate.equations import likeness
 from orbitfinder.integrate.field import VectorField, rates_of, vector_field
 from orbitfinder.loops.control import Basis, Control, Task
 from orbitfinder.loops.ipopt import Callback, SolveSettings
@@ -54,6 +57,7 @@ VARIED = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
 SMALL = 1e-9
 """A control is small when it accelerates less than this share of what the motion does"""
 IPOPT_TOLERANCE = 1e-10
+_functions = Kept[ca.Function](64)
 
 
 @dataclass(frozen=True)
@@ -170,7 +174,9 @@ class _Controlled:
             )  # fmt: skip
             names, self.coefficients = tuple(entry["names"]), np.array(entry["coefficients"], float)
             limits = {name: tuple(pair) for name, pair in entry["limits"].items()}
-            model = with_parameters(actuated(altered(model, controls=names, limits=limits)), entry["shares"])
+            if (model.controls, dict(model.limits)) != (names, limits):
+                model = altered(model, controls=names, limits=limits)
+            model = with_parameters(actuated(model), entry["shares"])
             boundary = related(named(symmetry, model), model, relative)
             self.parts = arranged(model, boundary, tuple(entry["free"]), control, int(entry["points"]))
             self.pinned = [model.state_names.index(name) for name in entry["pins"] if name in model.state_names]
@@ -192,9 +198,16 @@ class _Controlled:
         self.shares = np.linspace(0.0, 1.0, SAMPLES * self.parts.steps + 1)
         self.tasks = (*self.parts.always, *(task for _, task in self.parts.moments))
         self._numbers = [self.given(0, 0.0) for _ in self.arcs]
-        self._forward = [vector_field(self._forwards(k), self._numbers[k]) for k in self.arcs]
-        self._backward = [vector_field(self._backwards(k), self._numbers[k]) for k in self.arcs]
-        self._pointwise = [self._instant(k) for k in self.arcs]
+        self._forward = [vector_field(self._derived(self._forwards, k), self._numbers[k]) for k in self.arcs]
+        self._backward = [vector_field(self._derived(self._backwards, k), self._numbers[k]) for k in self.arcs]
+        self._pointwise = [self._derived(self._instant, k) for k in self.arcs]
+
+    def _derived(self, derive: Callable[[int], ca.Function], arc: int) -> ca.Function:
+        """A function of an arc, derived once in a thread for motions that differ in freed parameters alone."""
+        parts, mode = self.parts, self.parts.mode(arc)
+        names = (*parts.free, *parts.model.controls)
+        key = likeness(mode, names), repr(parts.control), parts.basis, parts.symmetry, mode.parameter_names
+        return _functions((derive.__name__, arc, *key, get_ident()), lambda: derive(arc))
 
     @cached_property
     def _run(self) -> tuple[list[np.ndarray], list[Trace]]:

@@ -7,13 +7,15 @@ states at the collocation points. How an interval is integrated is all that its 
     collocation    x' - f = 0 at Legendre points, of order 10
 
 Both carry the integrals of the cost and of what tasks ask on average. Derivatives of first and second order are exact.
+Programs that differ in their guesses alone are derived once: guesses enter as numbers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from threading import get_ident
 from typing import Any
 
 import casadi as ca
@@ -21,12 +23,13 @@ import numpy as np
 from scipy.sparse import diags, identity
 from scipy.sparse.linalg import splu
 
+from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.integrate.rk8 import one_step
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.control import Basis, Control, Task, stated
-from orbitfinder.loops.ipopt import minimised
+from orbitfinder.loops.ipopt import minimised, minimiser
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, boundary_constants, guessed_nodes
 from orbitfinder.loops.scales import floored
@@ -42,6 +45,7 @@ AGREEMENT = 1e-13
 COLLOCATED = 1e-11
 """The same of collocation, whose rows IPOPT leaves at about this"""
 MOST_STEPS = 32
+_arrangements: Kept[Arrangement] = Kept(32)
 IPOPT = {
     "max_iter": 1000, "constr_viol_tol": 1e-11, "dual_inf_tol": 1e-6, "compl_inf_tol": 1e-9,
     "mu_target": 0.0, "mu_strategy": "adaptive",
@@ -66,6 +70,8 @@ class Arrangement:
     steps: int
     varied: tuple[str, ...] = ()
     """of the control's numbers those that are unknowns: they follow the freed parameters wherever those are given"""
+    derived: Kept[Any] = field(init=False, default_factory=lambda: Kept(8))
+    """What programs have derived of it"""
 
     def numbers(self, free: Any) -> dict[str, Any]:
         """The control's numbers, unknown ones from the end of `free`."""
@@ -264,8 +270,18 @@ def signs_of(model: Model, symmetry: Symmetry) -> tuple[int, ...]:
     return tuple(signs)
 
 
-def arranged(model: Model, symmetry: Symmetry, free: tuple[str, ...], control: Control, steps: int) -> Arrangement:
-    """The arrangement of a controlled motion. Raises `InputError`."""
+def arranged(
+    model: Model, symmetry: Symmetry, free: tuple[str, ...], control: Control, steps: int, varied: tuple[str, ...] = ()
+) -> Arrangement:
+    """The arrangement of a controlled motion, the same for a thread that asks again. Raises `InputError`."""
+    control = replace(control, guess={})
+    key = Same(model), symmetry, free, repr(control), steps, varied, get_ident()
+    return _arrangements(key, lambda: _arranged(model, symmetry, free, control, steps, varied))
+
+
+def _arranged(
+    model: Model, symmetry: Symmetry, free: tuple[str, ...], control: Control, steps: int, varied: tuple[str, ...]
+) -> Arrangement:
     arcs = len(model.cycle)
     signs = signs_of(model, symmetry)
     count = control.intervals * max(arcs, 1)
@@ -275,7 +291,7 @@ def arranged(model: Model, symmetry: Symmetry, free: tuple[str, ...], control: C
         raise InputError(f"control.intervals: must be even with this symmetry, got {control.intervals}")
     part = count // 2 if signs else count
     basis = Basis(control.shape, part, control.harmonics, arcs, 0.5 if signs else 1.0, signs)
-    return Arrangement(model, control, symmetry, basis, freed(model, free), steps)
+    return Arrangement(model, control, symmetry, basis, freed(model, free), steps, varied)
 
 
 @lru_cache(maxsize=32)
@@ -303,8 +319,9 @@ class Program:
 
     def __init__(self, problem: Problem, control: Control, steps: int, varied: tuple[str, ...] = ()) -> None:
         self.problem, self.control = problem, control
-        self.parts = replace(arranged(problem.model, problem.boundary, problem.free, control, steps), varied=varied)
-        self.equations = Equations(problem.model, problem.boundary, problem.free)
+        form = problem.model, problem.boundary, problem.free
+        self.parts = parts = arranged(*form, control, steps, varied)
+        self.equations: Equations = parts.derived("equations", lambda: Equations(*form))
         assert self.equations.free == self.parts.free
         count = self.parts.basis.intervals
         self.mesh = np.linspace(0.0, 1.0 if self.parts.basis.arcs else problem.boundary.fraction, count + 1)
@@ -372,9 +389,14 @@ class Program:
         guess, coefficients = start
         stated = stated_program(self, guess)
         begin = np.concatenate([self.vector(guess, coefficients), _first_points(guess, self.parts, self.points > 0)])
+        expressed, options = stated.expressed, IPOPT | {"tol": tolerance}
+        program = {"x": expressed.v, "f": expressed.cost, "g": expressed.rows, "p": expressed.p}
+        solver = self.parts.derived(
+            ("solver", tolerance, Same(expressed)), lambda: minimiser("controlled", program, options, {})
+        )
         answer, stats, _ = minimised(
-            "controlled", {"x": stated.v, "f": stated.cost, "g": stated.rows}, IPOPT | {"tol": tolerance}, {},
-            x0=begin, lbx=stated.lower, ubx=stated.upper, lbg=stated.low, ubg=stated.high,
+            solver, x0=begin, lbx=stated.lower, ubx=stated.upper, lbg=stated.low, ubg=stated.high,
+            p=stated.normals.ravel(),
         )  # fmt: skip
         if not stats["success"]:
             raise _failed(stats, self)
@@ -384,7 +406,7 @@ class Program:
         """A solution to the last digits of its equations, by Newton's least steps, far below IPOPT's tolerance."""
         w = solution.unknowns
         stated = stated_program(self, w)
-        at = _closed(stated, self.vector(w, solution.coefficients))
+        at = _closed(self.parts, stated, self.vector(w, solution.coefficients))
         return self.solution(w, at, solution.normals, solution.iterations)
 
     def vector(self, w: Unknowns, coefficients: np.ndarray) -> np.ndarray:
@@ -425,7 +447,9 @@ class Program:
 
     def error(self, solution: Optimum) -> float:
         """How far the ends of the segments are from those by shooting in steps half as long, relative to the motion."""
-        finer = replace(self.parts, steps=2 * self.parts.steps)
+        problem, parts = self.problem, self.parts
+        form = problem.model, problem.boundary, problem.free
+        finer = arranged(*form, self.control, 2 * parts.steps, parts.varied)
         w, worst = solution.unknowns, 0.0
         size = floored(np.abs(w.nodes).max(axis=0))
         points = np.split(solution.points, len(w.nodes))
@@ -498,20 +522,36 @@ def coefficient_bounds(program: Program) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(low), np.concatenate(high)
 
 
-@dataclass(frozen=True)
-class Statement:
-    """The program in symbols: v, cost, rows with their ranges, ranges of v; the phase's normals."""
+@dataclass(frozen=True, eq=False)
+class Expressed:
+    """The program in symbols: v, cost, rows; p, the normals that fix the phase, one after another."""
 
     v: ca.MX
     cost: ca.MX
     rows: ca.MX
+    p: ca.MX
+    tasks: np.ndarray
+    """of each row the number of the task that it belongs to; -1 of the loop's, -2 of limits kept by rows"""
+    low: np.ndarray
+    high: np.ndarray
+
+
+@dataclass(frozen=True)
+class Statement:
+    """The program as `expressed` with ranges of its rows and of v, and the phase's normals."""
+
+    expressed: Expressed
     low: np.ndarray
     high: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
     normals: np.ndarray
-    tasks: np.ndarray
-    """of each row the number of the task that it belongs to; -1 of the loop's, -2 of limits kept by rows"""
+
+    @property
+    def rows(self) -> ca.MX:
+        """The rows at these normals."""
+        known = self.expressed
+        return ca.substitute(known.rows, known.p, self.normals.ravel()) if self.normals.size else known.rows
 
 
 class _ProgramSymbols:
@@ -567,30 +607,40 @@ class _ProgramSymbols:
 
 def stated_program(program: Program, guess: Unknowns) -> Statement:
     """The program in symbols, its phase that of a guess. Raises `InputError`."""
-    symbols, loop, control = _ProgramSymbols(program, guess), program.loop(guess), program.control
+    loop, known = program.loop(guess), program.parts.derived
+    pins = tuple((pin.name, pin.value) for pin in program.problem.pin)
+    expressed: Expressed = known(("expressed", pins, len(loop.normals)), lambda: _expressed(program, guess, loop))
+    low, high = expressed.low.copy(), expressed.high.copy()
+    phases, inner = len(loop.normals), guess.nodes.size - guess.nodes[0].size
+    aimed = loop.equations.aimed(loop.constant)
+    for end in (low, high):
+        end[:phases] = loop.normals @ loop.reference if phases else 0.0
+        end[phases + inner :][: aimed.size] = aimed
+    points, numbers = program.points * program.parts.basis.intervals, len(program.parts.varied)
+    ends = zip(_bounds(program, guess), coefficient_bounds(program), (-np.inf, np.inf), strict=True)
+    lower, upper = (np.concatenate([*own, np.full(points + numbers, free)]) for *own, free in ends)
+    return Statement(expressed, low, high, lower, upper, loop.normals)
+
+
+def _expressed(program: Program, guess: Unknowns, loop: Loop) -> Expressed:
+    symbols, control, size = _ProgramSymbols(program, guess), program.control, program.parts.size
+    p, none = ca.MX.sym("p", loop.normals.size), np.zeros((0, size))
     paths, integrals, obeyed = symbols.integrated()
-    closing = loop.stated(symbols.nodes, symbols.period, symbols.tail[2], [path[:, -1] for path in paths])
+    plain = replace(loop, constant=0.0 * loop.constant, normals=none)
+    closing = plain.stated(symbols.nodes, symbols.period, symbols.tail[2], [path[:, -1] for path in paths])
+    phases = ca.reshape(p, size, len(loop.normals)).T @ symbols.nodes[0]
     tasks = list(symbols.tasks(paths, integrals))
-    rows = [([closing], 0.0, 0.0), ([obeyed], 0.0, 0.0), *(([row], task.low, task.high) for row, task in tasks)]
-    whose = [-1, -1, *(control.tasks.index(task) if task in control.tasks else -2 for _, task in tasks)]
-    unknowns = [
-        ([*symbols.nodes, *symbols.tail], *_bounds(program, guess)), (symbols.controls, *coefficient_bounds(program)),
-        (symbols.points, -np.inf, np.inf), ([symbols.numbers], -np.inf, np.inf),
-    ]  # fmt: skip
+    of_loop = [(row, 0.0, 0.0) for row in (phases, closing, obeyed)]
+    rows = [*of_loop, *((row, task.low, task.high) for row, task in tasks)]
+    whose = [-1, -1, -1, *(control.tasks.index(task) if task in control.tasks else -2 for _, task in tasks)]
     cost = integrals[0] / program.parts.symmetry.fraction / (symbols.period if control.average else 1.0)
     cost += program.parts.final()(symbols.nodes[0], symbols.free, symbols.period)
-    (v, lower, upper), (all_rows, low, high) = _stacked(unknowns), _stacked(rows)
-    labels = np.concatenate([np.full(row.numel(), number) for ([row], _, _), number in zip(rows, whose, strict=True)])
-    return Statement(v, cost, all_rows, low, high, lower, upper, loop.normals, labels)
-
-
-def _stacked(blocks: Sequence[tuple[list[ca.MX], Any, Any]]) -> tuple[ca.MX, np.ndarray, np.ndarray]:
-    """Symbols below each other, and the ends of their ranges, of a block one pair or one for each of its numbers."""
-    sizes = [sum(symbol.numel() for symbol in symbols) for symbols, _, _ in blocks]
-    low, high = (
-        np.concatenate([np.full(size, block[end]) for size, block in zip(sizes, blocks, strict=True)]) for end in (1, 2)
+    counts, (_, *ends) = [row.numel() for row, _, _ in rows], zip(*rows, strict=True)
+    low, high, labels = (np.repeat(values, counts) for values in (*ends, whose))
+    v = ca.vertcat(*symbols.nodes, *symbols.tail, *symbols.controls, *symbols.points, symbols.numbers)
+    return Expressed(
+        v, cost, ca.vertcat(*(row for row, _, _ in rows)), p, labels, low.astype(float), high.astype(float)
     )
-    return ca.vertcat(*(symbol for symbols, _, _ in blocks for symbol in symbols)), low, high
 
 
 @lru_cache(maxsize=32)
@@ -610,17 +660,22 @@ def _first_points(guess: Unknowns, parts: Arrangement, collocation: bool) -> np.
     return np.asarray(chords).ravel()
 
 
-def _closed(stated: Statement, at: np.ndarray) -> np.ndarray:
-    equal = stated.low == stated.high
+def _closed(parts: Arrangement, stated: Statement, at: np.ndarray) -> np.ndarray:
+    equal, expressed = stated.low == stated.high, stated.expressed
     chosen = [int(k) for k in np.flatnonzero(equal)]
-    equations = stated.rows[chosen] - ca.DM(stated.low[equal])
-    function = ca.Function("equations", [stated.v], [equations, ca.jacobian(equations, stated.v)])
+
+    def derived() -> ca.Function:
+        equations = expressed.rows[chosen]
+        slopes = ca.jacobian(equations, expressed.v)
+        return ca.Function("equations", [expressed.v, expressed.p], [equations, slopes])
+
+    function = parts.derived(("equations", Same(expressed)), derived)
 
     def correction(at: np.ndarray) -> np.ndarray:
-        left, slope = function(at)
+        left, slope = function(at, stated.normals.ravel())
         matrix = slope.sparse().tocsr()
         sizes = nonzero(np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel()))
-        matrix, left = diags(1.0 / sizes) @ matrix, left.full().ravel() / sizes
+        matrix, left = diags(1.0 / sizes) @ matrix, (left.full().ravel() - stated.low[equal]) / sizes
         square = (matrix @ matrix.T + 1e-13 * identity(len(chosen))).tocsc()  # rows that say the same stay apart
         return -np.asarray(matrix.T @ splu(square).solve(left))
 

@@ -72,7 +72,8 @@ class Stationary:
         w = solution.unknowns
         self.program, self.varying, self.like = program, varying, w
         self.statement = stated = stated_program(program, w)
-        n, own = stated.v.numel(), program.vector(w, solution.coefficients)
+        v, cost, self.tasks = stated.expressed.v, stated.expressed.cost, stated.expressed.tasks
+        n, own = v.numel(), program.vector(w, solution.coefficients)
         self.names = program.names(w)
         asked = np.isfinite(stated.lower) | np.isfinite(
             stated.upper
@@ -82,10 +83,10 @@ class Stationary:
         extra = not varying.unknown
         self.place = n if extra else n - 1 if program.parts.varied else (
             w.vector.size - w.free.size + program.parts.free.index(varying.unknown))  # fmt: skip
-        rows = ca.vertcat(stated.rows, stated.v[[int(k) for k in self.boxed]])
-        y, z = ca.MX.sym("y", rows.numel()), ca.vertcat(stated.v, ca.MX.sym("theta", int(extra)))
-        self._first = ca.Function("first", [z], [stated.cost, ca.gradient(stated.cost, z), rows, ca.jacobian(rows, z)])
-        self._second = ca.Function("second", [z, y], [ca.hessian(stated.cost + ca.dot(y, rows), z)[0]])
+        rows = ca.vertcat(stated.rows, v[[int(k) for k in self.boxed]])
+        y, z = ca.MX.sym("y", rows.numel()), ca.vertcat(v, ca.MX.sym("theta", int(extra)))
+        self._first = ca.Function("first", [z], [cost, ca.gradient(cost, z), rows, ca.jacobian(rows, z)])
+        self._second = ca.Function("second", [z, y], [ca.hessian(cost + ca.dot(y, rows), z)[0]])
         self.low, self.high = (np.concatenate([part, more[self.boxed]])
                                for part, more in ((stated.low, stated.lower), (stated.high, stated.upper)))  # fmt: skip
         self.drift = self._drift(w.vector.size)
@@ -99,7 +100,7 @@ class Stationary:
 
     def _drift(self, first: int) -> np.ndarray:
         """How fast lowest and highest (2 x m) of all constraints go with theta."""
-        varying, tasks, problem = self.varying, self.statement.tasks, self.program.problem
+        varying, tasks, problem = self.varying, self.tasks, self.program.problem
         drift = np.zeros((2, self.low.size))
         if varying.pin is not None:
             guards = len(problem.model.cycle)
@@ -326,11 +327,11 @@ class Stationary:
 
     def name(self, constraint: int, side: int) -> str:
         """What a constraint is, where along the period, in words."""
-        parts, count = self.program.parts, self.statement.rows.numel()
+        parts, count = self.program.parts, self.tasks.size
         end = {-1: "at its lowest", 1: "at its highest"}.get(side, "")
         if constraint >= count:
             return f"{self.names[int(self.boxed[constraint - count])]} {end}"
-        tasks = self.statement.tasks
+        tasks = self.tasks
         if tasks[constraint] == -1:
             return f"equation {constraint}"
         number = int(tasks[constraint])

@@ -14,9 +14,9 @@ one of a difference and a sum that stand side by side (vfmsubadd) whatever it is
 vectors into wide registers, which halves the time of a march and changes no bit of it; what the compiler takes
 "native" to mean is part of its identity, so that a cache in a shared home serves every processor its own library.
 
-An entry of the cache is one file, KEY-DIGEST.so: KEY is the hash of code, compiler, flags and CasADi version, DIGEST
-that of the file's own bytes. So an entry appears whole or not at all (os.replace), and a truncated or altered one is
-recognised before the loader sees it, because loading it could end the process.
+An entry of the cache is one file, KEY-DIGEST.so: KEY is the hash of code without its numbers (see `held.py`), compiler,
+flags and CasADi version, DIGEST that of the file's own bytes. So an entry appears whole or not at all (os.replace), and
+a truncated or altered one is recognised before the loader sees it, because loading it could end the process.
 """
 
 from __future__ import annotations
@@ -50,6 +50,7 @@ from orbitfinder._runtime import locks
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError
+from orbitfinder.integrate.held import apart, holding
 
 MODES = ("on", "off", "auto")
 
@@ -226,11 +227,20 @@ def library(code: str, opened: Callable[[Path, bool], T], effort: float | None, 
     `opened` removes a file that is not as it must be; `level` of optimisation, "" for what suits the length. Raises
     `Unavailable` and `OSError`.
     """
-    compiler = find_compiler()
+    compiler, (code, numbers) = find_compiler(), apart(code)
     if level:
         compiler = replace(compiler, tuning=(*compiler.tuning, level))
     key = _key(code, compiler)
-    entry: T = _libraries(key, lambda: _fetched(code, opened, effort, compiler, key))
+
+    def holds(path: Path, new: bool) -> T:
+        try:
+            with holding(path, numbers) as own:
+                return opened(own, new)
+        except (ValueError, Unavailable) as error:
+            path.unlink(missing_ok=True)  # of which a copy may have been opened
+            raise Unavailable(str(error)) from None
+
+    entry: T = _libraries((key, numbers.tobytes()), lambda: _fetched(code, holds, effort, compiler, key))
     return entry
 
 
@@ -243,7 +253,7 @@ def begin(make_code: Callable[[], str], effort: float | None) -> None:
     if mode() == "off":
         return
     with captured(), contextlib.suppress(Unavailable, OSError, RuntimeError):
-        code, compiler, place = make_code(), find_compiler(), usable()
+        (code, _), compiler, place = apart(make_code()), find_compiler(), usable()
         key = _key(code, compiler)
         worth_it(len(code), effort)
         if (place, key) not in _begun and find_entry(place, key) is None:

@@ -28,12 +28,17 @@ _derived = Kept[Any](KEPT)
 T = TypeVar("T")
 
 
-def _key(model: Model, derive: Callable[..., Any], free: tuple[str, ...] = ()) -> tuple[Any, ...]:
+def likeness(model: Model, free: tuple[str, ...] = ()) -> tuple[Any, ...]:
+    """What a Model's equations follow from, but for the values of freed parameters, as a part of a key."""
     values = model.parameter_values.copy()
     values[[model.parameter_index(name) for name in free]] = np.nan  # given to the equations, which are those of all
     parts = (model.rates, model.acceleration, model.kinetic, model.potential, model.gyroscopic, model.forces,
              model.constraint, *(invariant.value for invariant in model.invariants))  # fmt: skip
-    return (derive, free, len(model.state_names), values.tobytes(), *map(Same, parts))
+    return (free, len(model.state_names), values.tobytes(), *map(Same, parts))
+
+
+def _key(model: Model, derive: Callable[..., Any], free: tuple[str, ...] = ()) -> tuple[Any, ...]:
+    return (derive, *likeness(model, free))
 
 
 def _once(derive: Callable[[Model], T]) -> Callable[[Model], T]:

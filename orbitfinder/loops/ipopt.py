@@ -143,7 +143,7 @@ def solve_nlp(
     limits = {"lbg": np.concatenate([zeros, shooting.low]), "ubg": np.concatenate([zeros, shooting.high])}
     ipopt, options = _options(shooting, settings)
     w, stats, text = minimised(
-        "shooting", program, ipopt, options | {"iteration_callback": watch},
+        minimiser("shooting", program, ipopt, options | {"iteration_callback": watch}),
         x0=shooting.start if start is None else start, lbx=shooting.lower, ubx=shooting.upper, **limits,
     )  # fmt: skip
     if not stats["success"]:
@@ -152,14 +152,17 @@ def solve_nlp(
     return w
 
 
-def minimised(
-    name: str, program: dict[str, ca.MX], ipopt: dict[str, Any], options: dict[str, Any], /, **given: np.ndarray
-) -> tuple[np.ndarray, dict[str, Any], str]:
-    """What IPOPT ends at with its options and CasADi's, its statistics, and what it printed."""
+def minimiser(name: str, program: dict[str, ca.MX], ipopt: dict[str, Any], options: dict[str, Any]) -> ca.Function:
+    """IPOPT with its options and CasADi's, for any numbers that the program is given."""
     own = {"print_level": 0, "sb": "yes", "acceptable_iter": 0, "bound_relax_factor": 0.0} | ipopt
     whole = {"print_time": False, "error_on_fail": False, "ipopt": own} | options
+    with captured(), limit.alarm():
+        return ca.nlpsol(name, "ipopt", program, whole)
+
+
+def minimised(solver: ca.Function, **given: np.ndarray) -> tuple[np.ndarray, dict[str, Any], str]:
+    """What IPOPT ends at, its statistics, and what it printed."""
     with captured() as output, limit.alarm():
-        solver = ca.nlpsol(name, "ipopt", program, whole)
         answer, stats = solver(**given), solver.stats()
     return answer["x"].full().ravel(), stats, output.text
 

@@ -96,7 +96,8 @@ def check_constant(model: Model, names: Iterable[str]) -> None:
 
 
 def actuated(model: Model) -> Model:
-    """The Model for motions along which its controls act: with their forces, without the invariants they break."""
+    """The Model for motions along which its controls act: with their forces, without the invariants they break; itself
+    where it is that already."""
     if not model.controls or not model.smooth:
         return model
     forces, drive = model.forces, model.actuation
@@ -104,6 +105,8 @@ def actuated(model: Model) -> Model:
         inputs = drive.sx_in() if drive.is_a("SXFunction") else drive.mx_in()
         drive = ca.Function("forces", inputs, [forces(*inputs) + drive(*inputs)])
     kept = tuple(invariant for invariant, broken in zip(model.invariants, _broken(model), strict=True) if not broken)
+    if drive is None and len(kept) == len(model.invariants) and not model.hamiltonian:
+        return model
     return altered(model, forces=drive or forces, actuation=None, invariants=kept, hamiltonian=False)
 
 

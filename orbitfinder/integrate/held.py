@@ -1,0 +1,88 @@
+"""The numbers of generated C as data, so that equations at other values of their parameters need no other library.
+
+    code, numbers = apart(code)               # "a3=9.81;" has become "a3=HELD[0];"
+    with holding(path, numbers) as own: ...   # a library that holds these
+
+Whatever is written out by CasADi or in lanes has a constant for each number that a parameter enters, and the same text
+but for those. A process loads a file as often as it is to hold other numbers, each time but the first by another name:
+a library's memory is that of its file. The instructions are those of constants in the text, and so is every bit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+_CONSTANT, _TABLE, _REMARK = (
+    re.compile(
+        r"\b([aw]\d+ ?= ?(?:all\()?|casadi_fill\(w\d+, \d+, )"
+        r"(-?(?:0x[\da-f.]+p[+-]\d+|\d+\.(?:\d+e[+-]\d+)?))(?=\)?;)"
+    ),
+    re.compile(r"static const casadi_real (casadi_c\d+)\[(\d+)\] =\s*\{([-+.,\de\s]+)\};"),
+    re.compile(r"/\* #\d+: .*?\*/", re.DOTALL),
+)
+"""What CasADi and `lanes.emit` write of a number, of several, and about them"""
+_held: dict[Path, bytes] = {}
+"""What the libraries of this process hold that were loaded by their own names"""
+
+
+def apart(code: str) -> tuple[str, np.ndarray]:
+    """C that takes its numbers by `hold`, and those; as it is where there are none."""
+    numbers, tables = list[float](), list[str]()
+
+    def constant(written: re.Match[str]) -> str:
+        numbers.append(float.fromhex(written[2]) if "x" in written[2] else float(written[2]))
+        return f"{written[1]}HELD[{len(numbers) - 1}]"
+
+    def table(written: re.Match[str]) -> str:
+        tables.append(f"  for (int i = 0; i < {written[2]}; i++) {written[1]}[i] = given[{len(numbers)} + i];")
+        numbers.extend(map(float, written[3].split(",")))
+        return f"static casadi_real {written[1]}[{written[2]}];"
+
+    code = _CONSTANT.sub(constant, _REMARK.sub("", code))
+    if count := len(numbers):
+        tables.append(f"  for (int i = 0; i < {count}; i++) HELD[i] = given[i];")
+        code = f"static double HELD[{count}];\n{code}"
+    code = _TABLE.sub(table, code)
+    if not numbers:
+        return code, np.zeros(0)
+    lines = ["", "#ifdef CASADI_SYMBOL_EXPORT", "CASADI_SYMBOL_EXPORT", "#endif", "void hold(const double *given) {"]
+    return "\n".join([code, *lines, *tables, "}", ""]), np.array(numbers)
+
+
+@contextlib.contextmanager
+def holding(path: Path, numbers: np.ndarray) -> Iterator[Path]:
+    """A name of the library, for the time that it is opened, by which it holds these numbers, apart from any that holds
+    others. Raises `ValueError` for what is no such library."""
+    if not numbers.size:
+        yield path
+    elif _held.setdefault(path, numbers.tobytes()) == numbers.tobytes():
+        yield _filled(path, numbers)
+    else:
+        handle, name = tempfile.mkstemp(prefix="making-", suffix=".so", dir=path.parent)
+        os.close(handle)
+        copy = Path(name)
+        try:
+            shutil.copy(path, copy)
+            yield _filled(copy, numbers)
+        finally:
+            with contextlib.suppress(OSError):  # Windows keeps what is loaded, until it is stale
+                copy.unlink()
+
+
+def _filled(path: Path, numbers: np.ndarray) -> Path:
+    try:
+        hold = ctypes.CDLL(str(path)).hold
+    except (OSError, AttributeError) as error:
+        raise ValueError(f"the library cannot be loaded: {error}") from None
+    hold.argtypes, hold.restype = [ctypes.c_void_p], None
+    hold(numbers.ctypes.data)
+    return path
