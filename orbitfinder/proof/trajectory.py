@@ -160,7 +160,7 @@ def minimal_period(path: Trajectory, angles: Sequence[bool]) -> tuple[bool, int,
     start = path.state(Fraction(0))
     for k in range(2, most + 1):
         apart = [a - b for a, b in zip(path.state(Fraction(1, k)), start, strict=True)]
-        if not any(_apart(x, i < len(angles) and angles[i]) for i, x in enumerate(apart)):
+        if not any(differs(x, i < len(angles) and angles[i]) for i, x in enumerate(apart)):
             return False, k, f"the state at T/{k} could not be told from the first"
     return True, most, ""
 
@@ -174,12 +174,12 @@ def _cycles(path: Trajectory, angles: Sequence[bool]) -> tuple[bool, int, str]:
         apart = [
             a - b for a, b in zip(path.state(Fraction(k, most)), start[: path.formulation.components], strict=False)
         ]
-        if not any(_apart(x, i < len(angles) and angles[i]) for i, x in enumerate(apart)):
+        if not any(differs(x, i < len(angles) and angles[i]) for i, x in enumerate(apart)):
             return False, most, f"the state after {k} of the drive's {most} periods could not be told from the first"
     return True, most, ""
 
 
-def _apart(difference: Any, angle: bool) -> bool:
+def differs(difference: Any, angle: bool) -> bool:
     """True when a difference is not zero (nor a whole turn)."""
     if not difference.is_finite():
         return False
