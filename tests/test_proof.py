@@ -7,15 +7,18 @@ from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 pytest.importorskip("flint")
 
+import orbitfinder as of
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.model import altered
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.proof import theorem
@@ -332,6 +335,33 @@ def test_refined_digits_are_of_an_orbit(found, monkeypatch):
     monkeypatch.setattr(theorem, "positive_mass", lambda _: False)
     refined = refine(found("loop"), settings_for(12), 12)
     assert not refined.enclosed and "positive definite" in refined.reason
+
+
+@pytest.fixture(scope="module")
+def hardening():
+    """q'' = -q - q^3, q an angle by its name alone."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    model = of.lagrange(v**2 / 2, q**2 / 2 + q**4 / 4, of.Symbols(q, v), names=["q"], angles=[True])
+    return model, find_orbit(of.Problem(model, of.Guess([1.0, 0.0], 4.8), of.pin(energy=0.75)))
+
+
+def test_a_whole_turn_away_is_elsewhere_where_equations_are_not_the_same_there(hardening):
+    model, orbit = hardening
+    proof = prove(orbit, model, Options(symmetry="brake"))
+    assert proof.proved, proof.reason
+    begun = np.array([[float(x.mid()) for x in node] for node in proof.nodes]), float(proof.period.mid())
+    asked = Options(symmetry="brake", segments=len(begun[0]), begun=begun)
+    away = prove(replace(orbit, state=np.add(orbit.state, [2 * np.pi, 0.0])), model, asked)
+    assert not away.proved and "not within 1e-09 of the record" in away.reason
+
+
+def test_what_leaks_is_not_made_up_for(hardening):
+    """Damping that the Model does not know of, just what the unfolding takes back."""
+    model, orbit = hardening
+    t, q, v, p = ca.SX.sym("t"), ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p", 0)
+    damped = ca.Function("acceleration", [t, q, v, p], [-q - q**3 - 1e-6 * v])
+    proof = prove(orbit, altered(model, acceleration=damped), Options(symmetry="none"))
+    assert not proof.proved and "does not conserve it" in proof.reason
 
 
 def test_the_horizon_starts_at_the_recorded_one_of_two_instants(found, proved):

@@ -540,6 +540,8 @@ class _ConnectionProof:
         places = box[0], equations.last(box)
         if not all(tau > 0 for tau in box[-2:]):
             raise NotProved("the motion could last no time")
+        if self.conserved and not box[-3].contains(0):
+            raise NotProved("what unfolds the energy is not 0, so that the system does not conserve it")
 
         def wide(ball: Any) -> Mapping[str, Any]:
             return enclosure(ball, digits, margin)

@@ -219,7 +219,7 @@ def _prove(
                 proof = Proof(
                     True, "", symmetry.name, options, 0.0, steps=sum(len(arc[3]) for arc in contracted.arcs),
                     radius=radius(contracted.box), contraction=contracted.contraction, energy=equations.energy,
-                    **conclusions(orbit, model, path, start, options),
+                    **conclusions(orbit, model, codes, path, start, options),
                 )  # fmt: skip
                 if rounds > 2 * SHARPENINGS or enough(proof):
                     return proof
@@ -355,17 +355,23 @@ def check_motion(path: Trajectory, model: Model, state: str, along: str) -> None
         raise NotProved("the period could be none, or negative")
     if not moves(path):
         raise NotProved(f"{state} could be an equilibrium")
+    if path.formulation.unfolded and not path.box[-2].contains(0):
+        raise NotProved("what unfolds the energy is not 0, so that the system does not conserve it")
     if path.formulation.unfolded and not model.hamiltonian and not positive_mass(path):
         raise NotProved(f"the mass matrix could not be shown to be positive definite along {along}")
 
 
-def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, options: Options) -> dict[str, Any]:
+def conclusions(
+    orbit: Orbit, model: Model, codes: Programs, path: Trajectory, start: Approach, options: Options
+) -> dict[str, Any]:
     """What follows from the zero: that it is an orbit, the recorded one, its period and multipliers."""
     form = start.formulation
     check_motion(path, model, "the state", "the orbit")
     if not comes_back(path):
         raise NotProved(AJAR)
-    distance, apart, phase = gaps(orbit, path, start, model.angles)
+    turned = [*model.angles, *[False] * (form.components - len(model.angles))]
+    angles = turned if all(turns_leave(code, [*turned, False]) for code in codes.all) else []
+    distance, apart, phase = gaps(orbit, path, start, angles)
     check_near(distance, apart, options)
     minimal, divisors, reason = minimal_period(path, model.angles)
     if not minimal:
@@ -383,8 +389,8 @@ def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, o
 def gaps(orbit: Orbit, path: Trajectory, start: Approach, angles: Sequence[bool]) -> tuple[float, float, float]:
     """Upper bounds of the distances of the recorded state (rad, rad/s) and period (s) from the proved ones, and phase.
 
-    The recorded state is compared with the orbit's (angles modulo whole turns) at the phase at which it was
-    recorded, corrected along the flow.
+    The recorded state is compared with the orbit's (`angles`, which the equations are shown to have, modulo whole
+    turns) at the phase at which it was recorded, corrected along the flow.
     """
     recorded, turn = [arb(float(x)) for x in orbit.state], 2 * arb.pi()
     d = path.formulation.components
