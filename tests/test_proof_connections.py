@@ -200,6 +200,9 @@ def test_what_the_theorem_asks_for_besides(proved, monkeypatch):
 
 
 def test_damaged_records_are_refused(proved, tmp_path):
+    """A number that is none or too large; that no energy is conserved is no damage."""
+    file = CODEC.save(replace(proved[1], energy=float("nan")), tmp_path / "connection-1-proof.json")
+    assert np.isnan(read_connection_proof(file).energy)
     for change in ({"radius": 0.0}, {"before": 0}, {"centre": (float("inf"),) * len(proved[1].centre)}):
         damaged = replace(proved[1], **change)
         file = tmp_path / "connection-1-proof.json"
@@ -264,6 +267,11 @@ def test_a_motion_without_an_energy_and_with_whole_turns(tmp_path):
     assert proof.proved and proof.turns[2] >= 7 and proof.origin.turns == (0, 0, 1), proof.reason
     mu = [float(pair[0]["value"]) for pair in proof.origin.multipliers]
     assert mu[0] * mu[1] == pytest.approx(np.exp(-2 * np.pi * damping), rel=1e-12)  # Liouville
-    again = replayed_connection(proof, model)
-    assert not unproved_claims(proof, again)
+    record = read_connection_proof(CODEC.save(proof, tmp_path / "connection-1-proof.json"))  # without an energy
+    assert not unproved_claims(record, replayed_connection(record, model))
+    goal, later = record.goal, 4 * np.pi * (np.arange(len(record.goal.centre)) % 3 == 2)
+    anchor = (*goal.anchor[:2], goal.anchor[2] + 4 * np.pi)
+    turned = replace(goal, centre=tuple((goal.centre + later).tolist()), anchor=anchor)
+    false = replace(record, goal=turned, turns=(0, 0, proof.turns[2] - 2))
+    assert "different ones could not be shown" in replayed_connection(false, model).reason
     assert not replayed_connection(replace(proof, turns=(0, 0, proof.turns[2] + 1)), model).proved
