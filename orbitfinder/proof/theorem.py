@@ -319,8 +319,8 @@ def check_graph(codes: Programs, form: Formulation, model: Model) -> None:
     if odd and form.symmetry.forward is None:
         raise NotProved("angles would come back but for half a turn")
     if shifts and not all(turns_leave(code, turned, odd) for code in codes.all):
-        what = "half" if odd else "whole"
-        raise NotProved(f"the equations' invariance under {what} turns could not be read off their graph")
+        what, remedy = ("half", "; use none") if odd else ("whole", "")
+        raise NotProved(f"the equations' invariance under {what} turns could not be read off their graph{remedy}")
 
 
 def enclosed(operator: Callable[[Vector], Krawczyk], centre: Vector, say: Progress) -> Krawczyk:
