@@ -7,19 +7,23 @@ from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 pytest.importorskip("flint")
 
+import orbitfinder as of
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.model import altered
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem
+from orbitfinder.proof import theorem
 from orbitfinder.proof.balls import arb, arb_mat, flint, precision
-from orbitfinder.proof.record import entry, write_entry
+from orbitfinder.proof.record import contradictions, entry, write_entry
 from orbitfinder.proof.theorem import Options, prove, refine, settings_for
 from orbitfinder.proof.trajectory import stability
 from orbitfinder.records.orbit import digest, save_orbit
@@ -249,7 +253,9 @@ def test_a_proof_is_not_written_into_another_orbit(proved, saved):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda e: e["period"].update(value="1.0359", radius=1e-9), "period"),
+        pytest.param(
+            lambda e: e["period"].update(value="1.0359", radius=1e-9), "period", marks=pytest.mark.slow
+        ),  # what meets the ball and is false, below, is more to ask
         pytest.param(lambda e: e["state"][0].update(radius=float("1e300")), "state", marks=pytest.mark.slow),
         (lambda e: e.update(stability="unstable"), "stability"),
         (lambda e: e.update(box_radius=1e-3), "box_radius"),
@@ -269,7 +275,9 @@ def test_a_proof_is_not_written_into_another_orbit(proved, saved):
         ),
         pytest.param(lambda e: e.update(distance=0.0), "distance", marks=pytest.mark.slow),
         pytest.param(lambda e: e.update(period_distance=1e-3), "period_distance", marks=pytest.mark.slow),
-        (lambda e: e.update(unfolding={"value": "1.0", "radius": 1e-9}), "unfolding"),
+        pytest.param(
+            lambda e: e.update(unfolding={"value": "1.0", "radius": 1e-9}), "unfolding", marks=pytest.mark.slow
+        ),
         (lambda e: e.update(phase=e["phase"] + 0.3), "phase"),
         pytest.param(lambda e: e.update(steps=1), "steps", marks=pytest.mark.slow),
         pytest.param(lambda e: e.update(stability_reason="because"), "stability_reason", marks=pytest.mark.slow),
@@ -312,6 +320,48 @@ def test_radii_are_recorded_twice_as_wide_as_found(proved):
     for name in ("period", "energy"):
         wide, narrow = (entry(proof, margin)[name] for margin in (2.0, 1.0))
         assert wide == entry(proof)[name] and wide == narrow | {"radius": 2 * narrow["radius"]}
+
+
+def test_numbers_in_words_are_compared(proved):
+    """A multiplier in the reason of a verdict, with fewer digits and with others."""
+    recorded, fresh = (entry(proved("coupled"), margin) for margin in (2.0, 1.0))
+    for number, wrong in (("[2.3 +/- 9]", []), ("9.9", ["stability_reason"])):
+        said = re.sub(r"[\d.]+(?= is off)|\[[^]]*\]", number, recorded["stability_reason"])
+        assert number in said and [*contradictions(recorded | {"stability_reason": said}, fresh)] == wrong
+
+
+def test_refined_digits_are_of_an_orbit(found, monkeypatch):
+    """Where the unfolding need not push along the motion, what is enclosed could have one that is not 0."""
+    monkeypatch.setattr(theorem, "positive_mass", lambda _: False)
+    refined = refine(found("loop"), settings_for(12), 12)
+    assert not refined.enclosed and "positive definite" in refined.reason
+
+
+@pytest.fixture(scope="module")
+def hardening():
+    """q'' = -q - q^3, q an angle by its name alone."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    model = of.lagrange(v**2 / 2, q**2 / 2 + q**4 / 4, of.Symbols(q, v), names=["q"], angles=[True])
+    return model, find_orbit(of.Problem(model, of.Guess([1.0, 0.0], 4.8), of.pin(energy=0.75)))
+
+
+def test_a_whole_turn_away_is_elsewhere_where_equations_are_not_the_same_there(hardening):
+    model, orbit = hardening
+    proof = prove(orbit, model, Options(symmetry="brake"))
+    assert proof.proved, proof.reason
+    begun = np.array([[float(x.mid()) for x in node] for node in proof.nodes]), float(proof.period.mid())
+    asked = Options(symmetry="brake", segments=len(begun[0]), begun=begun)
+    away = prove(replace(orbit, state=np.add(orbit.state, [2 * np.pi, 0.0])), model, asked)
+    assert not away.proved and "not within 1e-09 of the record" in away.reason
+
+
+def test_what_leaks_is_not_made_up_for(hardening):
+    """Damping that the Model does not know of, just what the unfolding takes back."""
+    model, orbit = hardening
+    t, q, v, p = ca.SX.sym("t"), ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p", 0)
+    damped = ca.Function("acceleration", [t, q, v, p], [-q - q**3 - 1e-6 * v])
+    proof = prove(orbit, altered(model, acceleration=damped), Options(symmetry="none"))
+    assert not proof.proved and "does not conserve it" in proof.reason
 
 
 def test_the_horizon_starts_at_the_recorded_one_of_two_instants(found, proved):

@@ -13,16 +13,21 @@ from click.testing import CliRunner
 
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
+from orbitfinder.loops.symmetry import NONE, REFLECTION
+from orbitfinder.proof.balls import arb, arb_mat
 from orbitfinder.proof.branch import (
     BranchPiece,
     Checked,
     branch_document,
     contradictions,
+    passage,
     prove_branch,
     read_branch,
     replayed,
     same_orbit,
 )
+from orbitfinder.proof.formulation import Formulation
+from orbitfinder.proof.trajectory import Trajectory
 from orbitfinder.records.family import load_family
 
 pytestmark = pytest.mark.needs("proof")
@@ -114,12 +119,20 @@ def test_a_branch_is_not_proved_where_it_turns_back_or_another_is_mixed_in(doubl
 def test_two_pieces_with_different_orbits_are_not_joined():
     """The orbit that the first one ends with must lie in the second one's box."""
     first = BranchPiece(0.0, 1.0, ((0.5, 0.5),), (0.1,))
-    from orbitfinder.proof.balls import arb
-
     one = Checked(first, [arb(0, 0.01)], 0.1, True, [])
     assert same_orbit(one, BranchPiece(1.0, 2.0, ((1.5, 0.5),), (0.1,)))
     assert not same_orbit(one, BranchPiece(1.0, 2.0, ((1.7, 0.5),), (0.1,)))
     assert not same_orbit(one, BranchPiece(1.0, 2.0, ((1.5, 0.5),), (0.005,)))
+
+
+@pytest.mark.parametrize(("symmetry", "kind"), [(REFLECTION, "branch_point"), (NONE, "period_doubling")])
+def test_what_a_multiplier_of_minus_one_means(symmetry, kind):
+    """Of a half map it is 1 over the period: another reflection is lost, nothing doubles."""
+    form = Formulation(symmetry, 1, 1, (0, 0), (0,))
+    sign = -1 if symmetry is REFLECTION else 1
+    ends = [Trajectory(None, form, [], [], arb_mat([[sign * a, 0], [0, 3 * sign]])) for a in (-0.5, -2.0)]
+    for name in ("branch_point", "period_doubling", "torus"):
+        assert passage(name, -2.0, ends).proved is (name == kind)
 
 
 def test_a_record_is_read_and_replayed_and_a_false_one_is_not(doubled, tmp_path):
@@ -154,18 +167,18 @@ def test_commands_prove_and_replay_a_branch(tmp_path):
     found = run.invoke(cli, ["verify", "--proof", str(record)])
     assert found.exit_code == 0 and "proof replayed" in found.output
     whole, recorded = json.loads(record.read_text()), read_branch(record)
-    passage, fresh = whole["passages"][0], replayed(recorded)
+    event, fresh = whole["passages"][0], replayed(recorded)
     for wrong in (
         {"level": 1.0}, {"kind": "torus"}, {"kept": "brake+reflection"}, {"test": "det(N + 2)"}, {"proved": False},
-        {"low": passage["high"], "high": passage["low"]}, {"low": "[+/- inf]"}, {"low": "nan"}, {"low": "little"},
-        {"high": passage["high"].replace(" +/- ", "3 +/- ").replace("e-", "e-1")},
+        {"low": event["high"], "high": event["low"]}, {"low": "[+/- inf]"}, {"low": "nan"}, {"low": "little"},
+        {"high": event["high"].replace(" +/- ", "3 +/- ").replace("e-", "e-1")},
     ):  # fmt: skip
         false = replace(recorded, passages=(replace(recorded.passages[0], **wrong),))
         assert [said.partition(" {")[0][:15] for said in contradictions(false, fresh)] == ["event: recorded"], wrong
     pieces = [whole["pieces"][0] | {"contraction": 1e-9}, *whole["pieces"][1:]]
     for wrong, message in (
-        ({"passages": [passage | {"level": 1.0}]}, "event: recorded"),
-        ({"passages": [passage | {"kind": "torus"}], "pieces": pieces}, "contraction from"),
+        ({"passages": [event | {"level": 1.0}]}, "event: recorded"),
+        ({"passages": [event | {"kind": "torus"}], "pieces": pieces}, "contraction from"),
     ):
         record.write_text(json.dumps(whole | wrong))
         found = run.invoke(cli, ["verify", "--proof", str(record)])

@@ -23,6 +23,7 @@ from orbitfinder.proof.balls import arb, arb_mat
 from orbitfinder.proof.connections import (
     CODEC,
     LocalManifold,
+    apart,
     check_cone,
     cone,
     prove_connection,
@@ -108,7 +109,8 @@ def test_records_of_other_motions_are_rejected(proved):
     shifted = replace(origin, centre=(origin.centre[0] + 1e-6, *origin.centre[1:]))
     changes = [
         ({"centre": moved}, "map the box"), ({"energy": record.energy + 1e-6}, "box"), ({"level": 1e-6}, "map the box"),
-        ({"origin": shifted}, "orbit's box"), ({"origin": replace(origin, slope=origin.slope / 100)}, "no cone"),
+        ({"origin": shifted}, "orbit's box"), ({"turns": (1, 0, 0, 0)}, "no angle"),
+        ({"origin": replace(origin, slope=origin.slope / 100)}, "no cone"),
         ({"origin": replace(origin, reach=1e-3)}, "return|energy|cone"),
         ({"goal": replace(goal, lap=-goal.lap)}, "lap"),
         ({"origin": replace(origin, reach=origin.reach / 100)}, "beyond the part"),
@@ -122,7 +124,8 @@ def test_records_of_other_motions_are_rejected(proved):
         fresh = replayed_connection(replace(record, **change), wells())
         assert not fresh.proved and any(word in fresh.reason for word in reason.split("|")), (change, fresh.reason)
     assert not replayed_connection(record, wells(0.05 * 1.001)).proved
-    for change in ({"centre": record.centre[:-1]}, {"turns": ()}, {"component": 4}):
+    names = (*record.state_names[1:], record.state_names[0])
+    for change in ({"centre": record.centre[:-1]}, {"turns": ()}, {"component": 4}, {"state_names": names}):
         with pytest.raises(InputError, match="does not fit the system; prove the connection again"):
             replayed_connection(replace(record, **change), wells())
 
@@ -186,6 +189,9 @@ def test_what_the_theorem_asks_for_besides(proved, monkeypatch):
     early = replace(record.origin, slack=0.1 * record.origin.slack)
     with pytest.raises(NotProved, match="return to the plane could not be enclosed"):
         run.manifold(early, run.enclosed_orbit(early))
+    path = run.enclosed_orbit(early)
+    other = replace(path, box=[path.box[0] + 2 * arb.pi(), *path.box[1:]])
+    assert apart(path, other, (False, False)) and not apart(path, other, (True, False))
     tube = Tube(0.0, 0.5, [[arb(1)]] * 4, [arb(0)] * 4, [arb(0), arb(1)])
     run.check_push([[tube]])
     monkeypatch.setattr(connections, "positive_definite", lambda _: False)
@@ -194,6 +200,9 @@ def test_what_the_theorem_asks_for_besides(proved, monkeypatch):
 
 
 def test_damaged_records_are_refused(proved, tmp_path):
+    """A number that is none or too large; that no energy is conserved is no damage."""
+    file = CODEC.save(replace(proved[1], energy=float("nan")), tmp_path / "connection-1-proof.json")
+    assert np.isnan(read_connection_proof(file).energy)
     for change in ({"radius": 0.0}, {"before": 0}, {"centre": (float("inf"),) * len(proved[1].centre)}):
         damaged = replace(proved[1], **change)
         file = tmp_path / "connection-1-proof.json"
@@ -258,6 +267,11 @@ def test_a_motion_without_an_energy_and_with_whole_turns(tmp_path):
     assert proof.proved and proof.turns[2] >= 7 and proof.origin.turns == (0, 0, 1), proof.reason
     mu = [float(pair[0]["value"]) for pair in proof.origin.multipliers]
     assert mu[0] * mu[1] == pytest.approx(np.exp(-2 * np.pi * damping), rel=1e-12)  # Liouville
-    again = replayed_connection(proof, model)
-    assert not unproved_claims(proof, again)
+    record = read_connection_proof(CODEC.save(proof, tmp_path / "connection-1-proof.json"))  # without an energy
+    assert not unproved_claims(record, replayed_connection(record, model))
+    goal, later = record.goal, 4 * np.pi * (np.arange(len(record.goal.centre)) % 3 == 2)
+    anchor = (*goal.anchor[:2], goal.anchor[2] + 4 * np.pi)
+    turned = replace(goal, centre=tuple((goal.centre + later).tolist()), anchor=anchor)
+    false = replace(record, goal=turned, turns=(0, 0, proof.turns[2] - 2))
+    assert "different ones could not be shown" in replayed_connection(false, model).reason
     assert not replayed_connection(replace(proof, turns=(0, 0, proof.turns[2] + 1)), model).proved

@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.integrate import quad
 
 pytest.importorskip("flint")
 
@@ -145,6 +146,27 @@ def test_what_is_no_orbit_of_lorenz_is_not_proved(butterfly, spoiled):
     }[spoiled]  # fmt: skip
     proof = prove(replace(orbit, **change), model, Options(symmetry="none"))
     assert not proof.proved and proof.reason
+
+
+def test_what_is_elsewhere_after_a_period_is_not_proved(butterfly):
+    """A mass that falls, its place a length, comes back to another: the unfolding would stop it. A phase that goes half
+    round in a half period goes round in another time, where its pace is not that of the other half."""
+    orbit, period = butterfly[1], 2 * np.pi / (2 + 5e-7)
+    falling = of.hamiltonian(lambda x, _: x.p**2 / 2 - 1e-3 * x.x, ("x",), ("p",))
+    given = {"period": period, "energy": 2.0, "winding": (1, 0)}
+    proof = prove(replace(orbit, state=np.array([0.0, 2.0]), **given), falling, Options(symmetry="none"))
+    assert not proof.proved and "what is no angle" in proof.reason
+
+    def field(_, x, p):
+        grown = 1 - x.y**2 - x.z**2
+        return [1 + 0.5 * ca.cos(x.phi), x.y * grown - p.pace * x.z, x.z * grown + p.pace * x.y]
+
+    half, _ = quad(lambda phi: 1 / (1 + 0.5 * np.cos(phi)), 0.3, 0.3 + np.pi, epsabs=1e-15)
+    turn = {"turn": (1, {"y": -1, "z": -1})}
+    model = of.ode(field, ("phi", "y", "z"), {"pace": np.pi / half}, angles=("phi",), symmetries=turn)
+    given = {"state": np.array([0.3, 1.0, 0.0]), "period": 2 * half, "winding": (1, 0, 0)}
+    proof = prove(replace(orbit, **given), model, Options(symmetry="turn"))
+    assert not proof.proved and "under half turns" in proof.reason
 
 
 def test_a_false_hamiltonian_is_refused(loop):

@@ -79,7 +79,7 @@ def elementary():
     a, b = x[0], x[1]
     rows = [
         ca.tan(a) * ca.exp(b), ca.log(2 + a) / (3 - b), ca.sqrt(2 + a * b), (2 + a) ** 3, (2 + b) ** 1.5, 1 / (a + 2),
-        p**a, ca.sin(a - b) - 2 * ca.cos(b) + 4, -a + p, 5 - a, (1 + a) ** -2,
+        p**a, ca.sin(a - b) - 2 * ca.cos(b) + 4, -a + p, 5 - a, (1 + a) ** -2, (2 + a) ** b,
     ]  # fmt: skip
     return ca.Function("elementary", [x, p], [ca.vertcat(*rows)])
 
@@ -346,6 +346,10 @@ def test_symmetries_are_read_off_the_graph():
     assert not has_symmetry(lopsided.rates, lopsided.energy, REFLECTION, 1)
     assert not has_symmetry(lopsided.rates, lopsided.energy, REVERSAL, 1)
     assert not turns_leave(lopsided.rates, (True,))
+    steep = programs(oscillator(lambda q: (2 + q) ** -3))
+    assert not has_symmetry(steep.rates, steep.energy, REFLECTION, 1)
+    two, one = (programs(oscillator(lambda q, k=k: ca.cos(k * q))) for k in (2, 1))
+    assert turns_leave(two.rates, (True,), [0]) and not turns_leave(one.rates, (True,), [0])
 
 
 def test_what_cannot_be_proved_is_refused():

@@ -659,8 +659,8 @@ def replayed_event(
     """A recorded proof done again from its centre, balls without a margin. Raises `InputError`."""
     with precision(record.bits):
         model, say = model or build_model(dict(record.system)), progress or (lambda line: None)
-        run = _EventProof(record, model, say) if model.smooth else _GaitEventProof(record, model, say)
-        return done_again(record, lambda: run.concluded(1.0, 2 * DIGITS))
+        proof = _EventProof if model.smooth else _GaitEventProof
+        return done_again(record, lambda: proof(record, model, say).concluded(1.0, 2 * DIGITS))
 
 
 def false_claims(record: BorderedRecord, fresh: BorderedRecord) -> list[str]:

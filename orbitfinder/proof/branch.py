@@ -24,6 +24,7 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.families.passages import index_levels
 from orbitfinder.loops.symmetry import named
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
@@ -277,13 +278,15 @@ def passage(
 ) -> Passage | None:
     """The passage of a level between two enclosed orbits; None where there is no test for it.
 
-    Balls are written wider than they are by `margin`.
+    It is not proved of a kind that does not happen there. Balls are written wider than they are by `margin`.
     """
     level = float(round(level)) if abs(level - round(level)) < 1e-9 else level
     best, (low, high) = None, (tests(end, level) for end in ends)
+    root = 1 if ends[0].formulation.symmetry.forward is None else 2
+    fits = any(name == kind and abs(place - level) < 1e-9 for place, name, *_ in index_levels(root, 100))
     for name, (value, kept) in low.items():
         other = high[name][0]
-        proved = bool((value < 0 and other > 0) or (value > 0 and other < 0))
+        proved = fits and bool((value < 0 and other > 0) or (value > 0 and other < 0))
         at_low, at_high = (arb(ball.mid(), margin * ball.rad()).str(digits) for ball in (value, other))
         tested = Passage(kind, level, name, at_low, at_high, proved, kept if proved else "")
         best = tested if best is None or proved else best

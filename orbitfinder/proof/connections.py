@@ -52,7 +52,6 @@ from orbitfinder.proof.balls import (
 from orbitfinder.proof.enclosure import TaylorSettings, Tube, cloud, integrate
 from orbitfinder.proof.field import Field, make_field, programs
 from orbitfinder.proof.formulation import Formulation
-from orbitfinder.proof.invariance import turns_leave
 from orbitfinder.proof.krawczyk import (
     Krawczyk,
     TheoremEquations,
@@ -75,17 +74,26 @@ from orbitfinder.proof.record import (
     holds,
     in_digits,
 )
-from orbitfinder.proof.theorem import CENTRE, NotProved, Options, Progress, enclosed, provable_system
+from orbitfinder.proof.theorem import (
+    CENTRE,
+    NotProved,
+    Options,
+    Progress,
+    check_graph,
+    check_motion,
+    enclosed,
+    provable_system,
+)
 from orbitfinder.proof.trajectory import (
     Trajectory,
+    differs,
     monodromy,
-    moves,
     positive_definite,
     reduced,
     stability,
     trajectory,
 )
-from orbitfinder.records.codec import Codec, plain
+from orbitfinder.records.codec import Codec, Unknown, plain
 
 THIN, START, GROWTH, NEAR = 2.0**-4, 1e-10, 30.0, 1e-8
 """The box across a local manifold, of its length; how far from its orbit a motion begins, in the orbit's extents (the
@@ -137,7 +145,7 @@ class ConnectionRecord(Versioned):
     state_names: tuple[str, ...]
     component: int
     level: float
-    energy: float
+    energy: Unknown
     before: int
     after: int
     turns: tuple[int, ...]
@@ -448,7 +456,7 @@ class _ConnectionProof:
         about, d, rows = self.about, self.field.dimension, 2 + int(self.conserved)
         angles, known = len(self.model.angles), {"centre": len(about.centre) == d * (about.before + about.after) + 1}
         known["component"], known["turns"] = (
-            0 <= about.component < d == len(about.state_names),
+            0 <= about.component < d and tuple(about.state_names) == tuple(self.model.state_names),
             len(about.turns) == angles,
         )
         for name, end in (("origin", about.origin), ("goal", about.goal)):
@@ -480,9 +488,7 @@ class _ConnectionProof:
         if not first.proved:
             raise NotProved("an orbit's box is not mapped into itself")
         path = trajectory(equations, first.image, settings)
-        if not moves(path):
-            raise NotProved("an orbit could be an equilibrium")
-        self.check_push([*path.steps])
+        check_motion(path, self.model, "an orbit", "an orbit")
         self.paths[key] = path
         return path
 
@@ -514,14 +520,14 @@ class _ConnectionProof:
         about, settings = self.about, self.about.settings
         path, other = self.enclosed_orbit(about.origin), self.enclosed_orbit(about.goal)
         same = path is other
-        if not same and not apart(path, other):
+        if not same and not apart(path, other, self.model.angles):
             raise NotProved("that the two orbits are different ones could not be shown")
         if not (about.origin.lap > 0 > about.goal.lap):
             raise NotProved("lap: that of the goal must go back in time")
         (origin, rising), (goal, falling) = self.manifold(about.origin, path), self.manifold(about.goal, other)
-        turning = any((*about.turns, *about.origin.turns, *about.goal.turns))
-        if turning and not all(turns_leave(code, self.model.angles) for code in self.codes.all):
-            raise NotProved("the equations' invariance under whole turns could not be read off their graph")
+        forms = [self.orbit(end).formulation for end in (about.origin, about.goal)]
+        for form in (*forms, replace(forms[0], turns=about.turns)):
+            check_graph(self.codes, form, self.model)
         equations = self.equations(origin, goal)
         first, _ = equations.krawczyk(equations.around(about.centre, about.radius), settings)
         if not first.proved:
@@ -691,11 +697,12 @@ class _ConnectionProof:
         return nodes
 
 
-def apart(path: Trajectory, other: Trajectory) -> bool:
-    """True when the first orbit's point is not on the second."""
+def apart(path: Trajectory, other: Trajectory, angles: Sequence[bool]) -> bool:
+    """True when the second orbit's point is not on the first, angles modulo whole turns."""
     d = path.formulation.dimension
-    return not any(
-        all(a.overlaps(b) for a, b in zip(step.reach[:d], other.first[:d], strict=True))
+    turning = [*angles, *[False] * (d - len(angles))]
+    return all(
+        any(differs(a - b, turns) for a, b, turns in zip(step.reach[:d], other.first[:d], turning, strict=True))
         for steps in path.steps for step in steps
     )  # fmt: skip
 
@@ -753,7 +760,7 @@ def read_connection_proof(path: Path) -> ConnectionRecord:
     ends = (record.origin, record.goal)
     checked(Options(record.order, record.bits, record.tolerance, segments=max(end.segments for end in ends)))
     counts = (record.before, record.after, *(end.segments for end in ends))
-    numbers = [record.level, record.energy, *record.centre, record.radius]
+    numbers = [record.level, *record.centre, record.radius]
     for end in ends:
         numbers += [
             *end.anchor,

@@ -116,6 +116,12 @@ class Formulation:
         return (*ends, *range(self.components, self.dimension))
 
     @property
+    def shifts(self) -> dict[int, int]:
+        """The half turns that are asked of a component, at either end, where any are."""
+        places = (*np.flatnonzero(self.symmetry.held(self.size)), *self._ends)
+        return {int(i): k for i, k in zip(places, self.constants, strict=False) if k}
+
+    @property
     def mirror(self) -> tuple[int, ...]:
         """Signs (d) with which the first node's components enter the conditions at the end."""
         if self.symmetry.reverses:

@@ -6,7 +6,7 @@ sine of an odd value is odd, a product of two odd values even), so an answer "ye
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import gcd, lcm
@@ -40,7 +40,7 @@ def _parity(name: str, a: int, b: int, exponent: float | None) -> int:
         return BOTH if BOTH in (a, b) else a * b
     if name == "pow":
         whole = exponent is not None and float(exponent).is_integer()
-        return a ** int(exponent or 0) if whole else EVEN if a == b == EVEN else NEITHER
+        return a ** abs(int(exponent or 0)) if whole else EVEN if a == b == EVEN else NEITHER
     if name in ("sin", "neg"):
         return a
     if name in ("cos", "sq"):
@@ -77,8 +77,9 @@ def usable_symmetry(rates: ScalarProgram, energy: ScalarProgram | None, symmetry
     return next(usable, ALONE if symmetry.first_order else NONE)
 
 
-def turns_leave(code: ScalarProgram, angles: Sequence[bool]) -> bool:
-    """True when the first result provably does not change as angles (argument 0) make whole turns.
+def turns_leave(code: ScalarProgram, angles: Sequence[bool], halves: Collection[int] = ()) -> bool:
+    """True when the first result provably does not change as angles (argument 0) make whole turns, and these in
+    `halves` together half a turn.
 
     Followed are whole-numbered combinations of angles; only through a sine or a cosine does one of
     them become invariant.
@@ -89,6 +90,8 @@ def turns_leave(code: ScalarProgram, angles: Sequence[bool]) -> bool:
     numbers = dict(code.constants)
     for name, target, a, b in code.operations:
         combination[target] = _turned(name, combination[a], combination[b] if b >= 0 else {}, numbers, (a, b))
+        if name in ("sin", "cos") and sum((combination[a] or {}).get(i, 0) for i in halves) % 2:
+            combination[target] = None
     return all(combination[place] == {} for place in code.outputs[0].values())
 
 

@@ -239,9 +239,14 @@ def _minimal(recorded: Any, fresh: Mapping[str, Any]) -> bool:
 
 
 def _same_words(recorded: Any, fresh: str) -> bool:
-    """True for the same sentence, whatever the last digits of the numbers in it, balls such as [1.25 +/- 3e-10] too."""
+    """True for the same sentence, whose numbers, balls such as [1.25 +/- 3e-10] too, could be the same."""
     number = r"\[?[-+]?\d[-+\d.e/ ]*\]?"
-    return isinstance(recorded, str) and re.sub(number, "#", recorded) == re.sub(number, "#", fresh)
+    if not (isinstance(recorded, str) and re.sub(number, "#", recorded) == re.sub(number, "#", fresh)):
+        return False
+    old, new = (re.findall(number, text) for text in (recorded, fresh))
+    with suppress(ValueError):
+        return all(arb(a.strip()).overlaps(arb(b.strip())) for a, b in zip(old, new, strict=True))
+    return False
 
 
 def holds(recorded: Any, fresh: Any) -> bool:

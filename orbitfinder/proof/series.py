@@ -99,6 +99,11 @@ class _Fold:
             self._trigonometric(name, target, a)
         elif b >= 0 and (a in self.fixed or b in self.fixed):
             self._mixed(name, target, a, b)
+        elif name == "pow":  # a^b = exp(b log a)
+            log, self.size = self.size, self.size + 2
+            self._emit("log", log, a, -1, None)
+            self._emit("mul", log + 1, log, b, None)
+            self._emit("exp", target, log + 1, -1, None)
         else:
             self._emit(name, target, a, b, None)
 

@@ -219,7 +219,7 @@ def _prove(
                 proof = Proof(
                     True, "", symmetry.name, options, 0.0, steps=sum(len(arc[3]) for arc in contracted.arcs),
                     radius=radius(contracted.box), contraction=contracted.contraction, energy=equations.energy,
-                    **conclusions(orbit, model, path, start, options),
+                    **conclusions(orbit, model, codes, path, start, options),
                 )  # fmt: skip
                 if rounds > 2 * SHARPENINGS or enough(proof):
                     return proof
@@ -306,15 +306,21 @@ def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) 
 
 
 def check_graph(codes: Programs, form: Formulation, model: Model) -> None:
-    """`NotProved` unless the symmetry used (and whole turns, where they occur) follow from the graphs."""
+    """`NotProved` unless the symmetry used (and turns of angles, where they occur) follow from the graphs."""
     if not form.square:
         raise NotProved(f"{form.symmetry.name} does not fix the orbit in the state space of this system; use none")
     if not has_symmetry(codes.rates, codes.energy, form.symmetry, form.size):
         raise NotProved(f"the equations' {form.symmetry.name} symmetry could not be read off their graph; use none")
-    turning = any(form.constants) or any(form.turns)
+    shifts = {i: 2 * k for i, k in enumerate(form.turns) if k} | form.shifts
     turned = [*model.angles, *[False] * (form.dimension - len(model.angles))]
-    if turning and not all(turns_leave(code, turned) for code in codes.all):
-        raise NotProved("the equations' invariance under whole turns could not be read off their graph")
+    if not all(turned[i] for i in shifts):
+        raise NotProved("what is no angle would not come back but be elsewhere by a multiple of pi")
+    odd = [] if form.symmetry.reverses else [i for i, k in shifts.items() if k % 2]  # about k pi time turns back
+    if odd and form.symmetry.forward is None:
+        raise NotProved("angles would come back but for half a turn")
+    if shifts and not all(turns_leave(code, turned, odd) for code in codes.all):
+        what, remedy = ("half", "; use none") if odd else ("whole", "")
+        raise NotProved(f"the equations' invariance under {what} turns could not be read off their graph{remedy}")
 
 
 def enclosed(operator: Callable[[Vector], Krawczyk], centre: Vector, say: Progress) -> Krawczyk:
@@ -343,20 +349,29 @@ def verdict(path: Trajectory) -> Stability:
 
 
 def check_motion(path: Trajectory, model: Model, state: str, along: str) -> None:
-    """`NotProved` where a state could be an equilibrium, or what unfolds the energy need not push along the motion."""
+    """`NotProved` where a state could be an equilibrium, time could go back, or what unfolds the energy need not push
+    along the motion."""
+    if not path.period > 0:
+        raise NotProved("the period could be none, or negative")
     if not moves(path):
         raise NotProved(f"{state} could be an equilibrium")
+    if path.formulation.unfolded and not path.box[-2].contains(0):
+        raise NotProved("what unfolds the energy is not 0, so that the system does not conserve it")
     if path.formulation.unfolded and not model.hamiltonian and not positive_mass(path):
         raise NotProved(f"the mass matrix could not be shown to be positive definite along {along}")
 
 
-def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, options: Options) -> dict[str, Any]:
+def conclusions(
+    orbit: Orbit, model: Model, codes: Programs, path: Trajectory, start: Approach, options: Options
+) -> dict[str, Any]:
     """What follows from the zero: that it is an orbit, the recorded one, its period and multipliers."""
     form = start.formulation
     check_motion(path, model, "the state", "the orbit")
     if not comes_back(path):
         raise NotProved(AJAR)
-    distance, apart, phase = gaps(orbit, path, start, model.angles)
+    turned = [*model.angles, *[False] * (form.components - len(model.angles))]
+    angles = turned if all(turns_leave(code, [*turned, False]) for code in codes.all) else []
+    distance, apart, phase = gaps(orbit, path, start, angles)
     check_near(distance, apart, options)
     minimal, divisors, reason = minimal_period(path, model.angles)
     if not minimal:
@@ -374,8 +389,8 @@ def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, o
 def gaps(orbit: Orbit, path: Trajectory, start: Approach, angles: Sequence[bool]) -> tuple[float, float, float]:
     """Upper bounds of the distances of the recorded state (rad, rad/s) and period (s) from the proved ones, and phase.
 
-    The recorded state is compared with the orbit's (angles modulo whole turns) at the phase at which it was
-    recorded, corrected along the flow.
+    The recorded state is compared with the orbit's (`angles`, which the equations are shown to have, modulo whole
+    turns) at the phase at which it was recorded, corrected along the flow.
     """
     recorded, turn = [arb(float(x)) for x in orbit.state], 2 * arb.pi()
     d = path.formulation.components
@@ -472,8 +487,10 @@ def refine(
                 box = [x + arb(0, 10.0 ** -max(digits - GUARD, 8)) for x in centre]
                 again = krawczyk(equations, box, settings)
                 image, reason = (again.image, "") if again.proved else (centre, f"contraction {again.contraction:.3g}")
-                if again.proved and not comes_back(horizon(equations, image, again.arcs)):
-                    reason = AJAR
+                if again.proved:
+                    path = horizon(equations, image, again.arcs)
+                    check_motion(path, model, "the state", "the orbit")
+                    reason = "" if comes_back(path) else AJAR
             except (IntegrationError, NotProved, ZeroDivisionError) as error:
                 reason = str(error)
         if enclose and not reason and radius(image) > 10.0**-digits:

@@ -119,7 +119,7 @@ def escape(path: Trajectory, angles: Sequence[bool]) -> tuple[Fraction, int] | N
 
     Until then the orbit has not been back at its first state.
     """
-    rates = path.field.rates(path.first)[: path.formulation.dimension]
+    rates = path.field.rates(path.first)[: path.formulation.components]
     quickest = sorted(range(len(rates)), key=lambda i: -float(abs(rates[i]).lower().mid()))
     return next(filter(None, (_moving(path, angles, component) for component in quickest)), None)
 
@@ -149,37 +149,21 @@ def minimal_period(path: Trajectory, angles: Sequence[bool]) -> tuple[bool, int,
     """Whether T is proved minimal, the largest k for which T/k was looked at, and what stood in the way.
 
     A period T/k below the escape time is impossible; for the other k, x(T/k) must differ from x(0) in
-    some component (angles modulo whole turns). Of a driven system k divides the drive's periods, which are returned.
+    some component (angles modulo whole turns) but a drive's time, whose true period may be shorter than the graph says.
     """
-    if path.formulation.drive is not None:
-        return _cycles(path, angles)
     left = escape(path, angles)
     if left is None:
         return False, 0, "no component of the state is monotone at first"
     most = int(1 / left[0])
-    start = path.state(Fraction(0))
+    start = path.state(Fraction(0))[: path.formulation.components]
     for k in range(2, most + 1):
-        apart = [a - b for a, b in zip(path.state(Fraction(1, k)), start, strict=True)]
-        if not any(_apart(x, i < len(angles) and angles[i]) for i, x in enumerate(apart)):
+        apart = [a - b for a, b in zip(path.state(Fraction(1, k)), start, strict=path.formulation.drive is None)]
+        if not any(differs(x, i < len(angles) and angles[i]) for i, x in enumerate(apart)):
             return False, k, f"the state at T/{k} could not be told from the first"
     return True, most, ""
 
 
-def _cycles(path: Trajectory, angles: Sequence[bool]) -> tuple[bool, int, str]:
-    """Whether no smaller number of the drive's periods than T is a period, their number in T, what stood in the way."""
-    frequency = path.field.frequency
-    most = round(float((path.formulation.drive * frequency / (2 * arb.pi())).mid()))
-    start = path.state(Fraction(0))
-    for k in (k for k in range(1, most) if most % k == 0):
-        apart = [
-            a - b for a, b in zip(path.state(Fraction(k, most)), start[: path.formulation.components], strict=False)
-        ]
-        if not any(_apart(x, i < len(angles) and angles[i]) for i, x in enumerate(apart)):
-            return False, most, f"the state after {k} of the drive's {most} periods could not be told from the first"
-    return True, most, ""
-
-
-def _apart(difference: Any, angle: bool) -> bool:
+def differs(difference: Any, angle: bool) -> bool:
     """True when a difference is not zero (nor a whole turn)."""
     if not difference.is_finite():
         return False
