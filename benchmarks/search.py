@@ -50,6 +50,8 @@ LINKS, ENERGY, PERIODS, SEED, PROCESSES = 3, -30.0, (0.5, 6.0), 0, 2
 MOST_EVALUATIONS = 40
 CLOSED, SAME, MOVING = 1e-7, 1e-5, 1e-3
 WANTED, RATIO_WANTED, WIDE, WIDE_WANTED = 60, 20.0, 10.0, 3.0
+FEW, MOST_TIMES = 200, 10.0
+"""Starts of the first call, and times that starts that the next asks for"""
 
 
 @dataclass(frozen=True)
@@ -139,10 +141,11 @@ def search_with_orbitfinder(budget: float, processor: bool, longest: float = PER
             found = of.search(*request, budget=budget, seed=SEED, workers=PROCESSES)
             tally = found.tallies[0][1]
             return Result(tally.new, tally.hits, tally.done, time.time() - began), found.summary
-        starts = 0
-        while starts == 0 or found.summary.seconds < PROCESSES * budget:
-            starts += 100
+        starts, spent = FEW, 0.0
+        while spent < PROCESSES * budget:  # the same search goes on, by as many as the budget will take at this rate
+            starts = int(min(1.1 * PROCESSES * budget / spent, MOST_TIMES) * starts) if spent else starts
             found = of.search(*request, starts=starts, seed=SEED, workers=PROCESSES)
+            spent = found.summary.seconds
         with of.Atlas(path) as atlas:
             seconds, distinct, _ = discovery(atlas, 1)
             done = int(np.searchsorted(seconds, PROCESSES * budget))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from orbitfinder._runtime import __version__
 from orbitfinder.atlas.abreast import Course, Marched, abreast, alone, done
-from orbitfinder.atlas.signature import Numbers, Signature, among, resampled, signature_of
+from orbitfinder.atlas.signature import LOOP_SAMPLES, Numbers, Signature, among, resampled, signature_of
 from orbitfinder.atlas.solver import Closing, Stalled, orbit_in_valley, polished, scaled_loop
 from orbitfinder.atlas.starts import Context, SearchStart, proposed, strategy_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
@@ -27,7 +26,7 @@ from orbitfinder.loops.problem import Guess, Problem, clocked, elsewhere, segmen
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified, return_distances
-from orbitfinder.orbits.measure import action, around, composed, sampled_period, whole_unknowns
+from orbitfinder.orbits.measure import around, composed, sampled_action, sampled_period, whole_unknowns
 from orbitfinder.records.orbit import VERSION, Orbit, orbit_from_document
 
 Found = tuple[SearchStart, Signature, Callable[[], Course[tuple[Orbit, Model]]]]
@@ -65,20 +64,17 @@ class Attempt:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A converged loop before it is measured: w over the horizon, nodes and states of a period."""
+    """A converged loop before it is measured: w over the horizon, nodes and mesh of a period, its action, times and
+    states."""
 
     context: Context
     problem: Problem
     w: Unknowns
     nodes: np.ndarray
+    mesh: np.ndarray
+    action: float
     times: np.ndarray
     states: np.ndarray
-
-    @cached_property
-    def action(self) -> float:
-        """The integral over the loop."""
-        march = self.context.equations[NONE.name].march.arcs[0]
-        return action(self.context.model, self.times, self.states, march)
 
     @property
     def numbers(self) -> Numbers:
@@ -262,14 +258,18 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> Course[ClosedLoop
     nodes, times, states = sampled_period(problem, whole, (yield Marched(plain, whole, "states")))
     if (np.ptp(states, axis=0) / context.units).max() < how.smallest:
         raise ConvergenceError("equilibrium")
-    return ClosedLoop(context, problem, closed, nodes, times, states)
+    every, longest = 1, min(closed.period / LOOP_SAMPLES, context.step / (2 * loop.settings.finer))
+    while (times.size - 1) % (4 * every) == 0 and 2 * every * times[1] <= longest:
+        every *= 2  # the mesh is as fine as closing asks for, which nobody else needs
+    sampled = sampled_action(context.model, times, states, plain.march.arcs[0], every)
+    return ClosedLoop(context, problem, closed, nodes, whole.mesh, *sampled)
 
 
 def measured(context: Context, loop: ClosedLoop) -> Course[tuple[Orbit, Model]]:
     """The Orbit of a loop, by the compiled march, and its Model."""
     plain, whole = context.equations[NONE.name], (loop.nodes, loop.times, loop.states)
     unfolding = np.zeros(plain.march.unfolding)
-    w = Unknowns(loop.nodes, loop.w.period, unfolding, loop.w.free, loop.times / loop.times[-1])
+    w = Unknowns(loop.nodes, loop.w.period, unfolding, loop.w.free, loop.mesh)
     transitions = yield Marched(plain, w, "transitions")
     (end,) = yield Marched(plain, replace(w, nodes=w.nodes[:1]))
     units = tuple(context.units)

@@ -36,7 +36,7 @@ from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 
-TOGETHER, FIRST, TURN = 256, 16, 5.0
+TOGETHER, FIRST, TURN = 512, 16, 8.0
 """Starts that are made side by side at most, and before it is known how long they take; seconds of processor time that
 those should take at most, and never more than are left, so that a search ends when it is asked to."""
 AHEAD = 256

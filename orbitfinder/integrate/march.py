@@ -189,15 +189,17 @@ class March:
     def beside(self, varied: bool, loops: Sequence[Placed], kept: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Numbers (t, x) or (t, x, vec Y, S) at the ends of all segments of loops on meshes of their own, in one
         call; of every step's the first `kept`. What leaves the numbers stays so."""
-        start = self._begun(
+        starts, counts = (
             np.concatenate([nodes for nodes, _, _ in loops]),
-            np.concatenate([self._clock(*loop) for loop in loops]),
-            self._unit if varied else self._none,
+            np.array([(mesh.size - 1, len(nodes)) for nodes, mesh, _ in loops]),
         )
-        parameters = np.concatenate([_parameters(mesh, tail) for _, mesh, tail in loops])
-        counts = [((mesh.size - 1) // len(nodes), len(nodes)) for nodes, mesh, _ in loops]
+        clock = np.concatenate([self._clock(*loop) for loop in loops]) if self.forced else 0.0
+        start = self._begun(starts, clock, self._unit if varied else self._none)
+        parameters = np.repeat([tail for _, _, tail in loops], counts[:, 0], axis=0)
+        steps = np.diff(np.concatenate([mesh for _, mesh, _ in loops]))
+        parameters[:, 0] *= np.delete(steps, np.cumsum(counts[:-1, 0] + 1) - 1)
         begins = np.zeros(len(start) + 1, np.intp)
-        np.cumsum(np.repeat(*np.transpose(counts)), out=begins[1:])
+        np.cumsum(np.repeat(counts[:, 0] // counts[:, 1], counts[:, 1]), out=begins[1:])
         return self._marched(varied, start, parameters, kept, begins=begins)
 
     def varied(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, states: bool = False) -> Varied:
@@ -320,7 +322,7 @@ class March:
         unit[: self.size * self.columns] = np.eye(self.size, self.columns).ravel("F")
         return unit
 
-    def _begun(self, states: np.ndarray, times: np.ndarray, varied: np.ndarray = _NOTHING) -> np.ndarray:
+    def _begun(self, states: np.ndarray, times: np.ndarray | float, varied: np.ndarray = _NOTHING) -> np.ndarray:
         """(t, x, vec Y, S) (k x ...) where steps begin, of states (k x d) at times (k)."""
         size = self.size
         start = np.empty((len(states), 1 + size + varied.size))

@@ -490,11 +490,12 @@ def counted(model: Model) -> str:
 
 def wrapped(gaps: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray:
     """Differences of states (... x 2n) or of coordinates, the first of which are `angles`, these in [-pi, pi)."""
-    turning = np.zeros(gaps.shape[-1], bool)
-    turning[: len(angles)] = angles
-    if not turning.any():
+    if not np.any(angles):
         return gaps
-    return np.where(turning, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
+    left = np.array(gaps, float)
+    part = left[..., : len(angles)]
+    np.subtract(part, 2 * np.pi * np.floor(part / (2 * np.pi) + 0.5), out=part, where=np.asarray(angles, bool))
+    return left
 
 
 def between(times: np.ndarray, states: np.ndarray, n: int, moments: np.ndarray | float) -> np.ndarray:

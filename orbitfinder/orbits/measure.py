@@ -315,16 +315,27 @@ def loop_action(
     return found if any(end is None for end in ends) else float(sum(end[-1] for end in ends if end is not None))
 
 
-def action(model: Model, times: np.ndarray, states: np.ndarray, march: March | None = None) -> float:
+def action(model: Model, times: np.ndarray, states: np.ndarray) -> float:
     """Integral over the loop of `Model.action_rate`: of momentum.dq, of general first-order systems of |x'|^2 dt.
 
     The trapezoidal rule on equally spaced samples of a periodic function converges exponentially
     (L. N. Trefethen, J. A. C. Weideman, SIAM Review 56 (2014) 385-458).
     """
-    if march is None:
-        many = Buffered(action_rate(model).map(len(times)))
-        rate = many(times[:, None], np.asarray(states), model.parameter_values[None])[0].ravel()
-    else:  # the same without CasADi's matrices, which take longer than what is in them
-        quick = compiled(action_rate(model), effort=EFFORT)
-        rate = march.along(quick, times[:, None], states, model.parameter_values[None]).ravel()
+    many = Buffered(action_rate(model).map(len(times)))
+    rate = many(times[:, None], np.asarray(states), model.parameter_values[None])[0].ravel()
     return float(trapezoid(rate, times))
+
+
+def sampled_action(
+    model: Model, times: np.ndarray, states: np.ndarray, march: March, every: int
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """The action from every so many of equal times, or from as many more as tell the same by half of them; these times
+    and states."""
+    quick = compiled(action_rate(model), effort=EFFORT)  # CasADi's matrices take longer than what is in them
+    while True:
+        few, path = times[::every].copy(), states[::every].copy()
+        rate = march.along(quick, few[:, None], path, model.parameter_values[None]).ravel()
+        found = float(trapezoid(rate, few))
+        if every == 1 or abs(found - trapezoid(rate[::2], few[::2])) <= RESOLVED * abs(found):
+            return found, few, path
+        every //= 2
