@@ -43,9 +43,9 @@ SETTLED, MOST, SLOW, SLOWER, WAVERS = 1e-15, 60, 0.7, 0.15, 4.0
 """Change of the coordinates, in extents, after which an iteration has ended; its steps at most; what a step leaves that
 no longer contracts, or that asks for new factors; by how much changes that are round-off's differ"""
 RESOLVED, POWERS, FINEST, FREE, SMALL, ERROR = 1.5, 30, 512, 4096, 40, 1.74e-13
-"""Radians of the fastest mode in a step, iterations that find it, the most steps that follow it, of driven motions and
-of others; coordinates up to which motions are certified by explicit steps and all their variations; a step of z radians
-is off by this times z^13: 6!^2 / 12! 13!"""
+"""Radians of the fastest mode in a step of a driven motion, of others it is 1; iterations that find it, the most steps
+that follow it, of either; coordinates up to which motions are certified by explicit steps and all their variations; a
+step of z radians is off by this times z^13: 6!^2 / 12! 13!"""
 TOLD, HIGHEST = 1e-10, 48
 """Share of the largest harmonic of a motion that is none; as many as an energy is asked of"""
 
@@ -232,14 +232,16 @@ class Implicit:
         return end, None if varied is None else self._varied(t, state, h, a, varied), self._ahead @ a
 
     def steps(self, state: np.ndarray, period: float) -> tuple[int, float]:
-        """As many steps of a period as follow the fastest mode, a power of two, and what they are off by; infinitely so
-        where that is stiff and there are fewer."""
+        """As many steps of a period as follow the fastest mode, of driven motions a power of two, and what they are off
+        by; infinitely so where that is stiff and there are fewer."""
         n = self.residual.size
         slopes = self._slopes(np.zeros(1), state[None, :n], state[None, n:], np.zeros((1, n)))[:, 0]
         turned = self.linear.fastest(slopes) * period
-        if turned > RESOLVED * (FINEST if self.residual.names else FREE):
+        wanted, most = (turned / RESOLVED, FINEST) if self.residual.names else (turned, FREE)
+        if wanted > most:
             return STEPS, np.inf
-        steps = int(2 ** np.ceil(np.log2(max(turned / RESOLVED, STEPS))))
+        wanted = max(wanted, STEPS)
+        steps = int(2 ** np.ceil(np.log2(wanted)) if self.residual.names else PIECES * np.ceil(wanted / PIECES))
         return steps, truncated(turned, steps)
 
     def decay(self, states: np.ndarray) -> Decay:
