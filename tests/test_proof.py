@@ -267,7 +267,7 @@ def test_a_proof_is_not_written_into_another_orbit(proved, saved):
             marks=pytest.mark.slow,
         ),
         pytest.param(lambda e: e.update(contraction=1e-30), "contraction", marks=pytest.mark.slow),
-        (lambda e: e.update(enclosure_radius=1e-60), "enclosure_radius"),
+        pytest.param(lambda e: e.update(enclosure_radius=1e-60), "enclosure_radius", marks=pytest.mark.slow),
         pytest.param(
             lambda e: e.update(nodes=[[{"value": "9.9", "radius": 1e-9}] * 4] * e["segments"]),
             "nodes",
