@@ -436,6 +436,8 @@ def test_an_oscillator_that_hits_once_in_two_periods_is_another_orbit():
         ({"guard": lambda x, p: 1.0}, "transition bounce: guard does not change with the state"),
         ({"impulse": lambda x, p: "hard"}, "transition bounce: impulse: cannot be made of CasADi symbols"),
         ({"holds": {"gap": lambda x, p: x.z}}, "mode air: holds 'gap': unknown name 'z'"),
+        ({"holds": {"gap": lambda x, p: [x.y, -1 - x.y]}}, "mode air: holds 'gap' gives 2 numbers; give one"),
+        ({"impulse": lambda x, p: [x.y, x.y]}, "transition bounce: impulse gives 2 numbers"),
         ({"conserved": ["momentum"]}, "mode air does not conserve 'momentum'"),
     ],
 )

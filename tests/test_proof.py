@@ -260,14 +260,14 @@ def test_a_proof_is_not_written_into_another_orbit(proved, saved):
         (lambda e: e.update(stability="unstable"), "stability"),
         (lambda e: e.update(box_radius=1e-3), "box_radius"),
         pytest.param(lambda e: e["multipliers"].pop(), "multipliers", marks=pytest.mark.slow),
-        (lambda e: e["minimal_period"].update(proved=False), "minimal_period"),
+        pytest.param(lambda e: e["minimal_period"].update(proved=False), "minimal_period", marks=pytest.mark.slow),
         pytest.param(
             lambda e: e["minimal_period"].update(divisors_excluded_up_to=10**6),
             "minimal_period",
             marks=pytest.mark.slow,
         ),
-        (lambda e: e.update(contraction=1e-30), "contraction"),
-        (lambda e: e.update(enclosure_radius=1e-60), "enclosure_radius"),
+        pytest.param(lambda e: e.update(contraction=1e-30), "contraction", marks=pytest.mark.slow),
+        pytest.param(lambda e: e.update(enclosure_radius=1e-60), "enclosure_radius", marks=pytest.mark.slow),
         pytest.param(
             lambda e: e.update(nodes=[[{"value": "9.9", "radius": 1e-9}] * 4] * e["segments"]),
             "nodes",

@@ -113,7 +113,8 @@ def test_each_claim_of_a_record_is_compared(swinging):
         "state": [{**ball, "radius": 1e-40} for ball in recorded["state"]], "stability": "unstable",
         "nodes": recorded["nodes"][:1], "multipliers": recorded["multipliers"][:1], "box_radius": 1e-3,
         "contraction": 1e-12, "steps": 3, "distance": 1e-30, "period_distance": 1e-3, "symmetry": "none", "segments": 3,
-        "phase": (recorded["phase"] + 1e-4) % 1.0, "minimal_period": {"proved": True, "divisors_excluded_up_to": 99},
+        "enclosure_radius": 1e-60, "phase": (recorded["phase"] + 1e-4) % 1.0,
+        "minimal_period": {"proved": True, "divisors_excluded_up_to": 99},
     }  # fmt: skip
     for name, claim in doctored.items():
         assert name in contradictions(recorded | {name: claim}, fresh), name

@@ -396,7 +396,7 @@ def _mode(mode: Mode, whole: Model) -> Mode:
         parameter_values=whole.parameter_values,
     )
     told = f"mode {mode.name}: holds"
-    held = {name: _function("holds", holds, model, f"{told} {name!r}") for name, holds in (mode.holds or {}).items()}
+    held = {name: _number("holds", holds, model, f"{told} {name!r}") for name, holds in (mode.holds or {}).items()}
     return Mode(mode.name, model, held)
 
 
@@ -423,20 +423,17 @@ def widened(model: Model, count: int, kept: int) -> Model:
 
 def _transition(transition: Transition, model: Model) -> Transition:
     told = f"transition {transition.name}"
-    given = {"guard": transition.guard, "reset": transition.reset or _unchanged}
-    guard, reset = (_function(name, value, model, f"{told}: {name}") for name, value in given.items())
-    if guard.numel_out(0) != 1:
-        raise InputError(f"{told}: guard gives {guard.numel_out(0)} numbers; give one")
+    guard = _number("guard", transition.guard, model, f"{told}: guard")
+    reset = _function("reset", transition.reset or _unchanged, model, f"{told}: reset")
     if not guard.jac_sparsity(0, 0).nnz():
         raise InputError(f"{told}: guard does not change with the state and is never crossed; name a state")
     size = len(model.state_names)
     if reset.size_out(0) != (size, 1):
         raise InputError(f"{told}: reset gives {reset.numel_out(0)} numbers for {size} states; give all")
-    others = {name: getattr(transition, name) for name in ("allowed", "impulse", "lost", "advance")}
-    made = {
-        name: None if value is None else _function(name, value, model, f"{told}: {name}")
-        for name, value in others.items()
-    }
+    made = dict[str, Any]()
+    for name in ("allowed", "impulse", "lost", "advance"):
+        given, kind = getattr(transition, name), _function if name == "advance" else _number
+        made[name] = None if given is None else kind(name, given, model, f"{told}: {name}")
     return replace(transition, guard=guard, reset=reset, slope=gradient(guard), **made)  # type: ignore[arg-type]
 
 
@@ -466,6 +463,14 @@ def _function(name: str, expression: Expression, model: Model, told: str) -> ca.
             return made(ca.SX.sym if model.scalar else ca.MX.sym)
         except NotImplementedError:  # it calls functions of matrices
             return made(ca.MX.sym)
+
+
+def _number(name: str, expression: Expression, model: Model, told: str) -> ca.Function:
+    """The same of what is a single number."""
+    function = _function(name, expression, model, told)
+    if function.numel_out(0) != 1:
+        raise InputError(f"{told} gives {function.numel_out(0)} numbers; give one")
+    return function
 
 
 def _check_modes(modes: Sequence[Mode]) -> None:
