@@ -64,8 +64,8 @@ def masses(count: int) -> tuple[Any, str]:
     springs = {f"s{k}": {"kind": "cubic", "at": f"q{k + 1}", "to": f"q{k}"} for k in range(1, count)}
     springs |= {"first": {"kind": "cubic", "at": "q1"}, "last": {"kind": "cubic", "at": f"q{count}"}}
     model = of.structure(
-        sparse.eye_array(count), 0.02 * sparse.eye_array(count),
-        sparse.diags_array([-ones[1:], 2 * ones, -ones[1:]], offsets=[-1, 0, 1]),
+        sparse.eye(count), 0.02 * sparse.eye(count),
+        sparse.diags([-ones[1:], 2 * ones, -ones[1:]], offsets=[-1, 0, 1]),
         {name: {**spring, "stiffness": "cubic"} for name, spring in springs.items()},
         {"at": "q1", "amplitude": 0.3, "frequency": MASSES[count]}, parameters={"cubic": 0.1},
     )  # fmt: skip

@@ -30,12 +30,12 @@ BALANCE = of.SolveSettings(method="balance")
 
 def masses(count, frequency, damping=0.02, cubic=0.1):
     """The forced chain of road.json."""
-    rows = sparse.diags_array([-np.ones(count - 1), 2 * np.ones(count), -np.ones(count - 1)], offsets=[-1, 0, 1])
+    rows = sparse.diags([-np.ones(count - 1), 2 * np.ones(count), -np.ones(count - 1)], offsets=[-1, 0, 1])
     springs = {f"s{i}": {"kind": "cubic", "at": f"q{i}", "to": f"q{i - 1}", "stiffness": "cubic"}
                for i in range(2, count + 1)}  # fmt: skip
     springs |= {name: {"kind": "cubic", "at": at, "stiffness": "cubic"}
                 for name, at in (("s1", "q1"), ("wall", f"q{count}"))}  # fmt: skip
-    one = sparse.eye_array(count)
+    one = sparse.eye(count)
     load = {"at": "q1", "amplitude": 0.3, "frequency": frequency}
     model = of.structure(one, damping * one, rows, springs, load, parameters={"cubic": cubic})
     return of.Problem(model, of.guesses.linear_response(model), name="masses")

@@ -83,8 +83,8 @@ def test_it_is_rebuilt_from_its_description_and_followed():
 
 def test_the_slopes_of_large_structures_are_sparse():
     size = 1000
-    rod = sparse.diags_array([-np.ones(size - 1), 2 * np.ones(size), -np.ones(size - 1)], offsets=[-1, 0, 1])
-    model = of.structure(sparse.eye_array(size), 0.1 * sparse.eye_array(size), rod)
+    rod = sparse.diags([-np.ones(size - 1), 2 * np.ones(size), -np.ones(size - 1)], offsets=[-1, 0, 1])
+    model = of.structure(sparse.eye(size), 0.1 * sparse.eye(size), rod)
     q, v = (ca.SX.sym(name, size) for name in "qv")
     assert ca.jacobian(model.acceleration(0, q, v, []), q).nnz() == 3 * size - 2
     assert model.acceleration.n_instructions() < 15 * size

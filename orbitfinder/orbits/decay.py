@@ -134,7 +134,7 @@ class Decay:
     def distance(self, gap: np.ndarray, units: np.ndarray) -> float:
         """What the true orbit is off a state (u, u') at most that comes back with a gap (2n), in units (2n), to first
         order: sqrt(V) of Phi d is at most e^(-2 pi r) of d's, so that of (1 - Phi)^-1 gap is known."""
-        measures = sparse.csc_matrix(sparse.diags_array(units**-2.0))
+        measures = sparse.diags(units**-2.0, format="csc")
         least = extreme(self.energy, measures, "least")
         return float(np.sqrt(gap @ (self.energy @ gap) / least) / -np.expm1(-2 * np.pi * self.rate))
 

@@ -263,9 +263,9 @@ class Balanced:
                 (begin, row), within = self.phase.row(self.basis), 1 if self.equations.names else 2
                 last = np.vstack([row, row[::-1]])[:within]
                 i, j = np.indices(last.shape).reshape(2, -1)
-                below = sparse.coo_array((last.ravel(), (i, begin + j)), shape=(within, self.pattern.whole))
+                below = sparse.coo_matrix((last.ravel(), (i, begin + j)), shape=(within, self.pattern.whole))
                 beside = np.column_stack(columns[:within])
-                scaled = sparse.block_array([[scaled, beside], [below, None]], format="csc")
+                scaled = sparse.bmat([[scaled, beside], [below, None]], format="csc")
                 columns[-1] = np.append(columns[-1], 0.0) if within == 1 else -np.eye(scaled.shape[0])[-1]
             answer = [self._closed(w, rows), Condensed(scaled, columns[-1], np.append(across, self.p_sizes))]
             w.known["linear"] = (self, *answer)
