@@ -27,7 +27,7 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh, splu
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.collocation import tableau
-from orbitfinder.orbits.decay import Beside, decay, extreme
+from orbitfinder.orbits.decay import Beside, decay, definite, extreme
 from orbitfinder.orbits.floquet import reduce_monodromy
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
 from orbitfinder.orbits.implicit import SMALL
@@ -191,6 +191,14 @@ def _modes(beside: Beside, harmonics: np.ndarray, period: int) -> _Modes | str:
     decays = np.einsum("ij,ij->j", shapes, damping @ shapes) / 2
     if not decays.min() > 0:
         return "some of it is not damped"
+    if not definite(damping):  # what couples modes may then feed what each of them alone would damp
+        if beside.n > MOST_MODES:
+            return "some of it is not damped"
+        size, coupled = np.eye(beside.n), shapes.T @ (damping @ shapes)
+        slowest = -np.linalg.eigvals(np.block([[0 * size, size], [-np.diag(squares), -coupled]])).real.max()
+        if not slowest > ROUND_OFF:
+            return "some of it is not damped"
+        decays = np.full(beside.n, slowest)
     slow = decays - np.sqrt(np.maximum(decays**2 - squares, 0.0))
     return _Modes(
         frequencies, shapes, decays, float(slow.min() if shapes.shape[1] == beside.n else min(slow.min(), slowest))
