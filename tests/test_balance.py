@@ -222,6 +222,29 @@ def test_what_does_not_grow_is_bounded():
     assert np.log(np.abs(seen.floquet.multipliers)).max() / (2 * np.pi) <= about.rest + 1e-9
 
 
+@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "stable"),
+    [
+        ([3.6, 3.8], [[0.1, 0.5], [0.5, 0.1]], False),  # each mode alone is damped, both together grow
+        ([3.6, 3.6], [[0.1, -0.1], [-0.1, 0.1]], False),  # a damper between twins leaves their common motion alone
+        ([3.6, 4.6], [[0.1, -0.1], [-0.1, 0.1]], True),
+    ],
+)
+def test_dampers_that_couple_modes_are_not_taken_for_each_modes_own(stiffness, damping, stable, many, monkeypatch):
+    """As large structures are judged; of linear oscillators the truth is an eigenvalue problem."""
+    monkeypatch.setattr(hill, "SMALL", 0)
+    monkeypatch.setattr(hill, "MOST_MODES", 1 if many else 400)
+    monkeypatch.setattr(hill, "MODES", 1)
+    load = {"at": "q1", "amplitude": 0.1, "frequency": 0.5}
+    model = of.structure(np.eye(2), damping, np.diag(stiffness), {}, load)
+    whole = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.diag(stiffness), -np.array(damping)]])
+    assert (np.linalg.eigvals(whole).real.max() < -1e-9) == stable
+    point = begun(of.Problem(model, of.guesses.linear_response(model), name="two"), "frequency")
+    verdict = exponents(point.problem, point.w).stability
+    assert verdict == "asymptotically stable" if stable and not many else verdict != "asymptotically stable"
+
+
 @pytest.mark.parametrize("frequency", [0.2, 1.1])
 def test_an_energy_bounds_all_exponents(frequency):
     """Of six masses, the rate that an energy proves is below that of all exponents, and near it where damped well."""

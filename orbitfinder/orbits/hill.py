@@ -33,7 +33,7 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.collocation import tableau
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.symmetry import symplectic
-from orbitfinder.orbits.decay import Beside, decay, extreme
+from orbitfinder.orbits.decay import Beside, decay, definite, extreme
 from orbitfinder.orbits.floquet import Floquet, judged, reduce_monodromy
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
 from orbitfinder.orbits.implicit import SMALL, STAGES, Variations, truncated
@@ -278,6 +278,14 @@ def _modes(beside: Beside, harmonics: np.ndarray, period: int, free: bool) -> _M
     decays = np.zeros(frequencies.size) if free else np.einsum("ij,ij->j", shapes, damping @ shapes) / 2
     if not free and not decays.min() > 0:
         return "some of it is not damped"
+    if not free and not definite(damping):  # what couples modes may then feed what each of them alone would damp
+        if beside.n > MOST_MODES:
+            return "some of it is not damped"
+        size, coupled = np.eye(beside.n), shapes.T @ (damping @ shapes)
+        slowest = -np.linalg.eigvals(np.block([[0 * size, size], [-np.diag(squares), -coupled]])).real.max()
+        if not slowest > ROUND_OFF:
+            return "some of it is not damped"
+        decays = np.full(beside.n, slowest)
     slow = decays - np.sqrt(np.maximum(decays**2 - squares, 0.0))
     return _Modes(
         frequencies, shapes, decays,
