@@ -302,6 +302,19 @@ def test_a_compiler_that_has_begun_is_waited_for(monkeypatch, fresh):
     assert len(list(fresh.glob("*.so"))) == 1 and not list(fresh.glob("making-*"))
 
 
+def test_a_compiler_that_another_process_has_overtaken_is_ended(monkeypatch, fresh):
+    """Both begin with the same library: whose is ready first is loaded by the other, which leaves nothing behind."""
+    rooms.begin(lambda: rooms.casadi_code(example()), None)
+    mine, *rest = rooms._begun.items()
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setattr(rooms, "_begun", {})
+        assert compiled(example()).class_name() == "External"
+    forget(monkeypatch)
+    assert compiled(example()).class_name() == "External" and statistics().loaded == 1
+    assert not rest and not rooms._begun and mine[1][0].poll() is not None
+    assert len(list(fresh.glob("*.so"))) == 1 and not list(fresh.glob("making-*"))
+
+
 def test_missing_compiler(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler-here")
     assert "not on the path" in stays_interpreted(example())
