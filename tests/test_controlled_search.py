@@ -167,6 +167,7 @@ def test_the_command_searches_a_problem_file_and_every_verb_meets_the_atlas(fold
     _, cost = optima()
     assert str(cost.min())[:8] in run("atlas", "list", book)
     assert "of force**2" in run("atlas", "show", book, 1)
+    assert "without symmetry were sought by" in (report := run("atlas", "report", book)) and " J" not in report
     run("verify", f"{book}#1")
     run("page", book, "-o", folder / "page")
     pages = [*(folder / "page").rglob("*.html")]

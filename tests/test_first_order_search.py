@@ -153,7 +153,10 @@ def test_a_grid_of_parameters_is_searched_into_a_single_atlas(tmp_path):
     assert [tally.parameters for _, tally in done.tallies] == [{"damping": value} for value in damping]
     assert {each.parameters for each in done.summary.strata} == {'{"damping":0.1}', '{"damping":0.2}'}
     said = "\n".join(done.summary.remarks)
-    assert "damping = 0.1 were sought by 6 starts" in said and "in no estimate: orbits away from what motions" in said
+    assert (
+        "symmetry at damping = 0.1 were sought by 6 starts" in said
+        and "in no estimate: orbits away from what motions" in said
+    )
     with of.Atlas(whole) as atlas:
         for row in atlas.rows():
             orbit, value = atlas.orbit(row.id), json.loads(row.parameters)["damping"]

@@ -208,9 +208,12 @@ def test_an_orbit_of_another_energy_is_rejected(homoclinic, coupled):
 
 def test_manifolds_that_coincide_do_not_cross(saddle, monkeypatch):
     """Without coupling they are one curve: no transversal point is claimed, whatever round-off makes of them."""
+    tried, true = list[object](), connections.solved
     monkeypatch.setattr(connections, "TRIED", 3)
-    found = connect(saddle, **SEEN, model=wells(0.0), most=1, settings=ManifoldSettings(spacing=0.2, turning=2.0))
-    assert not found
+    monkeypatch.setattr(connections, "solved", lambda guess: tried.append(guess) or true(guess))
+    settings = ManifoldSettings(spacing=0.2, turning=2.0)
+    assert not connect(saddle, **SEEN, model=wells(0.0), most=5, settings=settings)
+    assert len(tried) == 3  # however many are asked for
 
 
 def test_a_connection_is_followed_in_energy(homoclinic, coupled):

@@ -53,6 +53,14 @@ class Stratum:
     standard_error: float
     coverage: float | None
     parameters: str = ""
+    conserved: bool = True
+    """whether the system conserves the energy, which is 0 without it"""
+
+    @property
+    def at(self) -> str:
+        """Energy and parameters in words, "" of a system without either."""
+        words = [f"{self.energy:g} J"] * self.conserved + [parameters_in_words(self.parameters)] * bool(self.parameters)
+        return f" at {', '.join(words)}" if words else ""
 
 
 @dataclass(frozen=True)
@@ -166,8 +174,13 @@ def stratified(atlas: Atlas, where: str, values: Sequence[int]) -> tuple[Stratum
         values,
     ):
         met.setdefault((energy, words, symmetry), []).append(count)
+    conserved = atlas.conserved
     return tuple(
-        replace(stratum(energy, symmetry, np.array(counts, int), made[energy, words]), parameters=words)
+        replace(
+            stratum(energy, symmetry, np.array(counts, int), made[energy, words]),
+            parameters=words,
+            conserved=conserved,
+        )
         for (energy, words, symmetry), counts in sorted(met.items())
     )
 
@@ -228,8 +241,7 @@ def remarks(strata: Sequence[Stratum], stalled: int) -> tuple[str, ...]:
 def unseen(where: Stratum) -> str:
     """What may be missing in a stratum."""
     kind = "without symmetry" if where.symmetry == "none" else f"of symmetry {where.symmetry}"
-    at = parameters_in_words(where.parameters, ", ")
-    sought = f"orbits {kind} at {where.energy:g} J{at} were sought by {plural(where.starts, 'start')}"
+    sought = f"orbits {kind}{where.at} were sought by {plural(where.starts, 'start')}"
     if where.starts < 6:
         return f"{sought}: too few to say how many there are"
     return f"{sought} only: what fewer than 1 in {where.starts // 3} of these would meet may be missing"

@@ -270,6 +270,14 @@ class Atlas(Shown):
         return bool(self.select([int], "SELECT 1 FROM orbits WHERE cost IS NOT NULL UNION SELECT 1 FROM searches WHERE "
                                        "json_extract(method, '$.control') IS NOT NULL"))  # fmt: skip
 
+    @property
+    def conserved(self) -> bool:
+        """Whether its searches are at energies; True where nothing is known of the system."""
+        try:
+            return bool(self.model.invariants) and not self.controlled
+        except InputError:
+            return True
+
     def _repr_html_(self) -> str | None:
         """How a notebook shows it."""
         return html(self)

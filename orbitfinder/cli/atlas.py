@@ -25,7 +25,7 @@ from orbitfinder.cli.options import (
     usual,
     wants_json,
 )
-from orbitfinder.cli.search import print_summary
+from orbitfinder.cli.search import level, print_summary
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.reading import write_atomically
 
@@ -237,7 +237,10 @@ def merge(books: tuple[Path, ...], out: Path, union: bool, trust: bool) -> None:
     """
     merged = of.merge_atlases(list(books), out, union=union, trusted=trusted(books[0], trust))
     text(f"{out}: {plural(merged.orbits, 'distinct certified orbit')} of {plural(merged.starts, 'start')}")
+    with of.Atlas(out, trusted=trusted(books[0], trust)) as opened:
+        conserved = opened.conserved
     for search in merged.searches:
         lost = f", {search.missing} between them are missing (the same search makes them)" if search.missing else ""
-        text(f"  {search.energy:g} J, seed {search.seed}: {plural(search.starts, 'start')}{lost}")
+        shell = level(search.energy, conserved, {})
+        text(f"  {shell}, seed {search.seed}: {plural(search.starts, 'start')}{lost}")
     finish("atlas-merge", merged.document())

@@ -174,8 +174,6 @@ def progress(energy: float, tally: SearchStatistics, conserved: bool = True) -> 
 
 def print_summary(summary: Summary) -> None:
     """Yield by strategy, failures by reason, and how many orbits may remain."""
-    from orbitfinder.atlas.store import parameters_in_words
-
     text(f"  {'strategy':<16}{'starts':>8}{'hits':>8}{'new':>8}{'cpu s':>9}{'new/cpu s':>11}")
     for row in summary.yields:
         rate = row.new / row.seconds if row.seconds else 0.0
@@ -186,9 +184,8 @@ def print_summary(summary: Summary) -> None:
     if rest := sum(count for _, count in failures[REASONS_SHOWN:]):
         text(f"  failed {rest:>6}: other reasons")
     for met in summary.strata:
-        at = parameters_in_words(met.parameters, ", ")
         text(
-            f"  {plural(met.orbits, 'orbit')} of symmetry {met.symmetry} at {met.energy:g} J{at}, {met.once} met once; "
+            f"  {plural(met.orbits, 'orbit')} of symmetry {met.symmetry}{met.at}, {met.once} met once; "
             f"at least about {met.least:.0f}, sought by {plural(met.starts, 'start')}"
         )
     for sentence in summary.remarks:

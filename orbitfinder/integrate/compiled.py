@@ -257,16 +257,22 @@ def begin(make_code: Callable[[], str], effort: float | None) -> None:
         key = _key(code, compiler)
         worth_it(len(code), effort)
         if (place, key) not in _begun and find_entry(place, key) is None:
-            _begun[place, key] = _compiling(compiler, code, place)
+            begun = _compiling(compiler, code, place)
+            if _begun.setdefault((place, key), begun) is not begun:  # a thread was faster
+                _ended(*begun)
 
 
 @atexit.register
 def _abandoned() -> None:
     """End compilers that nobody waited for, and remove what they have written."""
     while _begun:
-        _, (process, work) = _begun.popitem()
-        _kill(process)
-        shutil.rmtree(work, ignore_errors=True)
+        _ended(*_begun.popitem()[1])
+
+
+def _ended(process: subprocess.Popen[str], work: Path) -> None:
+    """End a compiler that nobody waits for, and remove what it has written."""
+    _kill(process)
+    shutil.rmtree(work, ignore_errors=True)
 
 
 def _fetched(code: str, opened: Callable[[Path, bool], T], effort: float | None, compiler: Compiler, key: str) -> T:
@@ -284,6 +290,8 @@ def _fetched(code: str, opened: Callable[[Path, bool], T], effort: float | None,
                 made = make_library(compiler, code, place, _begun.pop((place, key), None))
                 entry = opened(publish(made, place, key), True)
                 _count(made=1)
+    if begun := _begun.pop((place, key), None):  # another process was faster
+        _ended(*begun)
     return entry
 
 

@@ -21,7 +21,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice, product
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -53,8 +53,8 @@ from orbitfinder.structures.sections import Surface, levels_at, solved_component
 
 NEWTON = Settings(floor=1e-13, round_off=1e-10, converged=1e-10, contraction=0.5, most_evaluations=25, patience=4)
 """How a connection is solved: gaps in extents of the orbits"""
-TRIED = 12
-"""Crossings of curves that are tried for each connection asked for: manifolds that coincide cross in their round-off"""
+TRIED = 96
+"""Crossings of curves that are tried in vain before no more are: manifolds that coincide cross in their round-off"""
 COARSE = ManifoldSettings(spacing=0.03, turning=0.5, halvings=6)
 """How finely curves are grown that are only to be intersected"""
 
@@ -158,10 +158,13 @@ def connect(
     here, there = (_curves(end, returns, chosen) for end in ends)
     point = None if near is None else np.asarray(near, float)
     called = orbit.name if other is None else f"{orbit.name}-{goal.name}"
-    connections: list[Connection] = []
-    for guess in islice(_crossings(*ends, here, there, point), TRIED * most):
+    connections, tried = list[Connection](), 0
+    for guess in _crossings(*ends, here, there, point):
+        if tried >= TRIED or len(connections) >= most:
+            break
         if any(_met(cut, guess.states[guess.chosen], other) for other in connections):
             continue
+        tried += 1
         try:
             made = solved(guess)
         except (ConvergenceError, IntegrationError):
@@ -172,8 +175,7 @@ def connect(
         if known.certificate is None or not known.certificate.passed:
             continue
         connections.append(known)
-        if len(connections) >= most:
-            break
+        tried = 0
     return tuple(connections)
 
 
