@@ -128,13 +128,11 @@ def integrate(
     steps = _stepped(field, start, times, settings, longest_step)
     if steps.code < 0:
         raise IntegrationError(FAILURES.get(steps.code, f"DOP853 returned {steps.code}"), time=steps.time, state=start)
-    inner = np.zeros((0, start.size))
-    if times.size > 2:
-        own = field if isinstance(field, CompiledField) else None
-        trace = Trace(steps.moments, steps.states, *rates_of(field), field=own)
-        inner = trace.at(times[1:-1])
-        if traces is not None:
-            traces.append(trace)
+    own = field if isinstance(field, CompiledField) else None
+    trace = Trace(steps.moments, steps.states, *rates_of(field), field=own)
+    inner = trace.at(times[1:-1]) if times.size > 2 else np.zeros((0, start.size))
+    if traces is not None:
+        traces.append(trace)
     states = np.vstack([start, inner, steps.state])
     if not np.all(np.isfinite(states)):
         raise IntegrationError("the state is not finite", time=float(times[-1]), state=start)
