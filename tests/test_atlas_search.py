@@ -302,7 +302,19 @@ def test_as_many_side_by_side_as_time_is_left_for(triple, one, task, tmp_path):
         run._latest.extend([0.1] * 4)
         early = run._size
         run.statistics.began -= 58.0
+        idle, many = Pair(one, task), Search(atlas, task, one, Limits(starts=2000))
+        many._latest.extend([1e-3] * 64)
+        many._hand_out(idle)
     assert (first, early) == (search.FIRST, 79) and 15 <= run._size <= 20
+    assert [len(jobs) for jobs in idle._waiting] == [search.TOGETHER] * 2  # nobody waits for the first
+
+
+class Pair(Inline):
+    """Two that only take starts."""
+
+    @property
+    def room(self):
+        return 2 - len(self._waiting)
 
 
 def test_two_searches_share_an_atlas(triple, undisturbed, tmp_path):
