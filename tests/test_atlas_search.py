@@ -22,6 +22,7 @@ from orbitfinder.atlas.abreast import abreast, alone
 from orbitfinder.atlas.report import chao1, discovery, reaches, remarks, stratum, summarise, total
 from orbitfinder.atlas.search import Limits, Search, register, unmade
 from orbitfinder.atlas.shard import WHOLE, Shard
+from orbitfinder.atlas.signature import LOOP_SAMPLES
 from orbitfinder.atlas.starts import Target, context_of, make_start
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.workers import DIED, Inline, Job, LocalWorkers, Request, perform
@@ -33,6 +34,7 @@ from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.mechanisms.linkage import linkage
 from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.measure import sampled_action
 
 pytestmark = pytest.mark.usefixtures("optimised")
 ROOT = Path(__file__).parents[1]
@@ -281,6 +283,18 @@ def test_what_round_off_hides_in_the_valley_is_polished(one):
     assert found.certificate.passed and found.period == pytest.approx(4.30663156806, rel=1e-12)
 
 
+def test_a_loop_keeps_as_many_states_as_its_action_asks_for(one):
+    loop = alone(refine.converged(one, make_start(one, 0, 4)))
+    march = one.equations["none"].march.arcs[0]
+    tail = np.append(loop.w.period, np.zeros(march.unfolding))
+    times, states = loop.w.period * loop.mesh, march.states(loop.nodes, loop.mesh, tail)
+    whole, every, _ = sampled_action(one.model, times, states, march, 1)
+    assert LOOP_SAMPLES < loop.times.size < every.size == loop.mesh.size and len(loop.states) == loop.times.size
+    assert loop.action == pytest.approx(whole, rel=1e-11)
+    few = sampled_action(one.model, times, states, march, 128)
+    assert len(few[1]) > 1 + (loop.mesh.size - 1) // 128 and few[0] == pytest.approx(whole, rel=1e-9)
+
+
 def test_as_many_side_by_side_as_time_is_left_for(triple, one, task, tmp_path):
     with Atlas(tmp_path / "a.sqlite", write=True, model=triple) as atlas:
         run = Search(atlas, task, one, Limits(budget=60.0))
@@ -288,7 +302,19 @@ def test_as_many_side_by_side_as_time_is_left_for(triple, one, task, tmp_path):
         run._latest.extend([0.1] * 4)
         early = run._size
         run.statistics.began -= 58.0
-    assert (first, early) == (search.FIRST, 49) and 15 <= run._size <= 20
+        idle, many = Pair(one, task), Search(atlas, task, one, Limits(starts=2000))
+        many._latest.extend([1e-3] * 64)
+        many._hand_out(idle)
+    assert (first, early) == (search.FIRST, 79) and 15 <= run._size <= 20
+    assert [len(jobs) for jobs in idle._waiting] == [search.TOGETHER] * 2  # nobody waits for the first
+
+
+class Pair(Inline):
+    """Two that only take starts."""
+
+    @property
+    def room(self):
+        return 2 - len(self._waiting)
 
 
 def test_two_searches_share_an_atlas(triple, undisturbed, tmp_path):

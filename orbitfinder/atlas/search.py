@@ -39,8 +39,9 @@ from orbitfinder.mechanics.model import Model
 TOGETHER, FIRST, TURN = 512, 16, 8.0
 """Starts that are made side by side at most, and before it is known how long they take; seconds of processor time that
 those should take at most, and never more than are left, so that a search ends when it is asked to."""
-AHEAD = 256
-"""Starts for each place among the workers that may be under way or unjudged: bounds the memory."""
+AHEAD = TOGETHER
+"""Starts for each place among the workers that may be under way or unjudged: bounds the memory, and with fewer than are
+made side by side others would wait for who has these."""
 MOST_SOURCES = 80
 """Known orbits that a search at another energy continues from."""
 DEFAULT_BUDGET = 60.0

@@ -335,7 +335,7 @@ def sampled_action(
     while True:
         few, path = times[::every].copy(), states[::every].copy()
         rate = march.along(quick, few[:, None], path, model.parameter_values[None]).ravel()
-        found = float(trapezoid(rate, few))
-        if every == 1 or abs(found - trapezoid(rate[::2], few[::2])) <= RESOLVED * abs(found):
-            return found, few, path
+        whole = float(trapezoid(rate, few))
+        if every == 1 or abs(whole - trapezoid(rate[::2], few[::2])) <= RESOLVED * abs(whole):
+            return whole, few, path
         every //= 2
