@@ -329,7 +329,7 @@ def accepted(curve: Curve, before: Unknowns, solution: Solution, whole: np.ndarr
     """How an orbit with its tangent stands after another."""
     curve = curve.measured(solution)
     jacobian = jacobian_of(curve.through(solution.place), solution.place, solution.march)
-    if isinstance(jacobian, np.ndarray):
+    if isinstance(jacobian, np.ndarray) and curve.test is not None:
         jacobian = np.vstack([jacobian, solution.matrix[len(jacobian) :]])
     here = replace(solution, jacobian=jacobian)
     whole = tangent(curve, here, whole)

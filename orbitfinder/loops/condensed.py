@@ -74,8 +74,11 @@ class Linearised:
         """The derivatives of all rows by w."""
         total, size = self.transitions[..., 0].size, self.transitions.shape[1]
         closing, tail = self._closing()
-        matrix = np.empty((total - size + len(closing), total + tail.shape[1]))
-        matrix[: total - size, :total] = -self._links()[size:total, :total]
+        matrix = np.zeros((total - size + len(closing), total + tail.shape[1]))
+        for k, transition in enumerate(self.transitions[:-1]):
+            rows, after = slice(k * size, (k + 1) * size), (k + 1) * size
+            matrix[rows, rows] = transition
+            np.fill_diagonal(matrix[rows, after : after + size], -1.0)
         matrix[: total - size, total:] = self.columns[:-1].reshape(total - size, tail.shape[1])
         matrix[total - size :, :total] = closing[:, :total]
         matrix[total - size :, total - size : total] += closing[:, total:] @ self.transitions[-1]

@@ -69,9 +69,9 @@ static double marched(const Work *o, const double *w, const Passage *q) {
   double integral = 0, starts[N], ends[N], late[N * D], early[N * D];
   memcpy(q->states, w, D * sizeof(double));
   for (ptrdiff_t first = 0; first < N; first += LANES) {
-    V *z = o->z, *error = z + ROWS, p[GIVEN];
+    V *z = o->z, *error = z + HELD, p[GIVEN];
     ptrdiff_t segment[LANES];
-    for (int i = 0; i < ROWS; i++) z[i] = all(0.0);
+    for (int i = 0; i < HELD; i++) z[i] = all(0.0);
     for (int l = 0; l < LANES; l++) {
       segment[l] = first + l < N ? first + l : N - 1;
       z[0][l] = f->forced ? tail[0] * f->mesh[segment[l] * each] : 0.0;
@@ -84,7 +84,7 @@ static double marched(const Work *o, const double *w, const Passage *q) {
       step(z, p, o->work, error);
       for (int l = 0; l < LANES && first + l < N; l++) {
         ptrdiff_t row = (first + l) * each + k;
-        for (int i = 0; i < D; i++) { q->states[(row + 1) * D + i] = z[1 + i][l]; o->errors[row * D + i] = error[i][l]; }
+        for (int i = 0; i < D; i++) { q->states[(row + 1) * D + i] = z[1 + i][l]; o->errors[row * D + i] = error[1 + i][l]; }
       }
     }
     for (int l = 0; l < LANES && first + l < N; l++) {
@@ -431,13 +431,13 @@ ptrdiff_t advance(const Frame *f, ptrdiff_t count, int known, double *const *sta
   ptrdiff_t made = 0, size = n * n + rows * n + 8 * n + M * D + N;
   double *space = malloc(size * sizeof(double)), *p = space;
   ptrdiff_t *order = malloc(n * sizeof(ptrdiff_t));
-  void *memory = malloc((2 * ROWS + ROOM) * sizeof(V) + 64);
+  void *memory = malloc((2 * HELD + ROOM) * sizeof(V) + 64);
   if (space && order && memory) {
     Work o = {f, n, cut, rows, 0};
     double **parts[] = {&o.right, &o.guess, &o.units, &o.lost, &o.metric, &o.scaled, &o.normal};
     o.order = order;
-    o.work = (V *)(((uintptr_t)memory + 63) & ~(uintptr_t)63);
-    o.z = o.work + ROOM;
+    o.z = (V *)(((uintptr_t)memory + 63) & ~(uintptr_t)63);
+    o.work = o.z + 2 * HELD;
     o.matrix = p; p += n * n;
     o.kept = p; p += rows * n;
     for (int k = 0; k < 7; k++, p += n) *parts[k] = p;

@@ -6,6 +6,7 @@ The numbers are those of CasADi's own code but for sin and cos, which are good t
 from __future__ import annotations
 
 from collections import defaultdict
+from fractions import Fraction
 
 import casadi as ca
 import numpy as np
@@ -119,7 +120,7 @@ def field_code(given: ca.Function | SparseSlopes, inverses: bool = False) -> str
         called = "rates(&t, y, s, freed, k[{}]);"
         return _heads(sizes) + emitted(field, "rates", inverses) + _stages("states", "V", numbers, "OWN", called)
     sizes |= {"OWN": field.numel_out(0), "COLUMNS": state + unfolding + free, "SLOPES": max(1, len(given.columns))}
-    sizes["INNER"] = given.inner
+    sizes |= {"INNER": given.inner, "PLACED": given.placed}
     tables = "".join(f"static const int {name}[] = {{{', '.join(map(str, values))}}};\n"
                      for name, values in (("BEGIN", given.begins), ("COLUMN", given.columns)))  # fmt: skip
     more = "V (*slope)[SLOPES], V (*forcing)[FORCING]"
@@ -127,7 +128,8 @@ def field_code(given: ca.Function | SparseSlopes, inverses: bool = False) -> str
     return "".join([
         _heads(sizes), tables, emitted(field, "rates", inverses),
         _stages("states", "V", f"{numbers}, {more}", "OWN", called),
-        _stages("columns", "W", f"{more}, int first", "BLOCK", "product(k[{0}], slope[{0}], forcing[{0}], y, first);"),
+        _stages("columns", "W", f"{more}, int first", "MOVING", "product(k[{0}], slope[{0}], forcing[{0}], y, first);",
+                bool(given.placed)),
     ])  # fmt: skip
 
 
@@ -135,24 +137,52 @@ def _heads(sizes: dict[str, int]) -> str:
     return "".join(f"#define {name} {value}\n" for name, value in sizes.items())
 
 
-def _stages(name: str, kind: str, arguments: str, size: str, called: str) -> str:
+def _stages(name: str, kind: str, arguments: str, size: str, called: str, placed: bool = False) -> str:
     """`NAME(z, h, t0, ...)`: Dormand and Prince's twelve stages k of y' = f(t, y) from z, each made by `called`.
 
     Numbers are of the `kind` V or W. y is advanced in z; with `error` a thirteenth stage estimates what a step of it
-    is wrong by (SciPy's norm).
+    is wrong by (SciPy's norm). Where y is `placed` it is `size` positions and their velocities, and k are the rates of
+    these alone: the same method in Nyström's form.
     """
-    every = f"for (int i = 0; i < {size}; i++)"
     given = ", ".join(f"{kind} {each}" for each in ("*z", "h", "t0", "*y", f"(*k)[{size}]", "*error"))
+
+    def every(to: str, form: str, *rows: np.ndarray) -> str:
+        """Numbers `to` as a form has them of z and of sums of rates by rows of weights."""
+        loop, each = f"  for (int i = 0; i < {size}; i++)", [_combined(row) for row in rows]
+        if not placed:
+            return f"{loop} {to}[i] = {form.format('[i]', *each)};"
+        places, rates = zip(*(_of_second_order(row, f"z[i + {size}]") for row in rows), strict=True)
+        at, rate = form.format("[i]", *places), form.format(f"[i + {size}]", *rates)
+        return f"{loop} {{ const {kind} at = {at}; {to}[i + {size}] = {rate}; {to}[i] = at; }}"
+
     lines = [f"static void {name}({given}, {arguments}) {{", f"  {kind} t;"]
     for stage, (shift, row) in enumerate(zip(DOP853.C, DOP853.A, strict=True)):
         lines.append(f"  t = t0{f' + {_number(shift)} * h' if shift else ''};")
-        lines.append(f"  {every} y[i] = z[i]{_combined(row[:stage])};")
+        lines.append(every("y", "z{}{}", row[:stage]))
         lines.append(f"  {called.format(stage)}")
-    lines.append(f"  {every} z[i] = z[i]{_combined(DOP853.B)};")
-    lines += ["  if (!error) return;", "  t = t0 + h;", f"  {every} y[i] = z[i];", f"  {called.format(12)}"]
-    fifth, third = (_combined(weights)[3:] for weights in (DOP853.E5, DOP853.E3))
-    lines.append(f"  {every} error[i] = estimate_{kind}({fifth}, {third});")
+    lines.append(every("z", "z{}{}", DOP853.B))
+    lines += ["  if (!error) return;", "  t = t0 + h;", every("y", "z{}{}", DOP853.B[:0]), f"  {called.format(12)}"]
+    lines.append(every("error", f"estimate_{kind}(0.0{{1}}, 0.0{{2}})", DOP853.E5, DOP853.E3))
     return "\n".join([*lines, "}", ""])
+
+
+def _of_second_order(row: np.ndarray, velocity: str) -> tuple[str, str]:
+    """What positions and velocities gain by such a row of weights of rates, which the velocities have.
+
+    That of positions weighs what that row's velocities gained again: exactly, but for the table's own round-off.
+    """
+    table = np.column_stack([np.ones(13), [*DOP853.A, DOP853.B]])[: len(row)]
+    exact = np.vectorize(Fraction, otypes=[object])
+    terms = exact(row)[:, None] * exact(table)
+    whole, size = terms.sum(axis=0, initial=Fraction()), np.abs(terms).sum(axis=0, initial=Fraction())
+    weights = np.where(np.abs(whole) > 1e-14 * size, whole, 0).astype(float)
+    drifted = f" + h * {_number(weights[0])} * {velocity}" if weights[0] else ""
+    return drifted + _terms("h * h", weights[1:]), _terms("h", row)
+
+
+def _terms(by: str, weights: np.ndarray) -> str:
+    """Products of rates with numbers that are the same for all."""
+    return "".join(f" + {by} * {_number(float(w))} * k[{k}][i]" for k, w in enumerate(weights) if w != 0.0)
 
 
 def _combined(weights: np.ndarray) -> str:

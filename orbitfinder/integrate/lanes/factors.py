@@ -23,13 +23,15 @@ class SparseSlopes:
     """(f, S), the numbers of all rows and [df/ds | df/dfree] as a function of (t, x, s, free), and where they stand.
 
     Row i has the numbers from begins[i] to begins[i + 1], each times y[k] for its k in `columns`; the first `inner`
-    rows are y's next components, the others df/dx y.
+    rows are y's next components, the others df/dx y. Of positions, whose rates are the velocities that stand so many
+    components behind them, there are no rows: they are `placed` first.
     """
 
     function: ca.Function
     begins: list[int]
     columns: list[int]
     inner: int = 0
+    placed: int = 0
 
 
 def sparse_slopes(field: ca.Function, quadrature: ca.Function | None, apart: ca.Function | None = None) -> SparseSlopes:
@@ -39,12 +41,14 @@ def sparse_slopes(field: ca.Function, quadrature: ca.Function | None, apart: ca.
     y and a held: written so that it has few numbers, as where accelerations follow from balances of forces.
     """
     inputs, rows = field.sx_in(), Elimination(apart or field)
+    half, odd = divmod(field.size1_in(1), 2)
+    placed = 0 if odd or not ca.is_equal(field(*inputs)[:half], inputs[1][half:]) else half
     if rows.count >= field.jac_sparsity(0, 1).nnz():
         rate, matrix, forcing, added = slopes_of(field, quadrature).call(inputs)
-        across = matrix.T
+        across = matrix[placed:, :].T
         outputs, begins, columns = [across, ca.densify(forcing)], across.sparsity().colind(), across.sparsity().row()
     else:
-        rate, (numbers, begins, columns) = field(*inputs), rows.table()
+        rate, (numbers, begins, columns) = field(*inputs), rows.table(placed)
         if apart:
             numbers = ca.Function("numbers", apart.sx_in(), [numbers])(*inputs, inputs[1], rate)
         else:
@@ -52,7 +56,7 @@ def sparse_slopes(field: ca.Function, quadrature: ca.Function | None, apart: ca.
         outputs = [numbers, ca.densify(ca.jacobian(rate, ca.vertcat(*inputs[2:])))]
         added = ca.SX(0, 1) if quadrature is None else quadrature(*inputs)
     function = ca.Function("slopes", inputs, ca.cse([ca.vertcat(rate, added), *outputs]))
-    return SparseSlopes(function, begins, columns, len(begins) - 1 - field.size1_in(1))
+    return SparseSlopes(function, begins, columns, len(begins) - 1 - field.size1_in(1) + placed, placed)
 
 
 class Elimination:
@@ -67,9 +71,9 @@ class Elimination:
         self._eliminate()
         self.count = sum(map(len, self.rows))
 
-    def table(self) -> tuple[ca.SX, list[int], list[int]]:
-        """Numbers, where rows begin among them, and their columns."""
-        order = [*sorted(self.left), *range(self.first, len(self.rows))]
+    def table(self, placed: int = 0) -> tuple[ca.SX, list[int], list[int]]:
+        """Numbers, where rows begin among them, and their columns; without the first outputs' so many."""
+        order = [*sorted(self.left), *range(self.first + placed, len(self.rows))]
         places = {row: k for k, row in enumerate([*range(self.size), *order])}
         begins, columns, numbers = [0], list[int](), list[ca.SX]()
         for row in order:

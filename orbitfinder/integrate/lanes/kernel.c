@@ -112,9 +112,10 @@ typedef double W __attribute__((vector_size(64)));
 #ifndef ABREAST
 #define ABREAST 1
 #endif
+INLINE W spread(double x) { return (W){x, x, x, x, x, x, x, x}; }
 #define TOGETHER ABREAST
 #define BESIDE (8 * TOGETHER)
-#define SPREAD(v) ((v)[0] + (W){0.0})
+#define SPREAD(v) spread((v)[0])
 #define COLUMN_OF(w, i, c) (w)[(i) * TOGETHER + (c) / 8][(c) % 8]
 #define NUMBER(v) (v)[0]
 ESTIMATE(W)
@@ -128,5 +129,6 @@ typedef V W;
 #define estimate_W estimate_V
 #endif
 #define BLOCK (STATE * TOGETHER)
+#define MOVING ((STATE - PLACED) * TOGETHER)
 #define FORCING (1 + STATE * (COLUMNS - STATE))
-static void product(W *rate, const V *slope, const V *forcing, W *y, int first);
+static void product(W *restrict, const V *restrict, const V *restrict, W *restrict, int);
