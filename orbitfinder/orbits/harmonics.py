@@ -27,10 +27,10 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.residual import Residual
 from orbitfinder.mechanics.newton import Settings, Solver
 
-SAMPLES, LEAST, REFINED, POWERS, KEPT = 4, 1e-3, 2, 4, 0.4
+SAMPLES, LEAST, REFINED, POWERS, KEPT, TABLED = 4, 1e-3, 2, 4, 0.4, 4e6
 """Times over a period, in multiples of the highest order: products of three are not taken for others. Share of the
 largest size that a coordinate's is at least; refinements of a solution; iterations for a kernel; sizes are kept until
-their logarithms change by so much"""
+their logarithms change by so much; numbers in a table of products, which grows by the cube of the orders"""
 LEFT, NOISY, HIGHEST = 3e-14, 0.1, 400
 """The next orders are no larger than this, in the sizes of the coordinates, or than so many round-offs; the highest
 order that is tried"""
@@ -90,7 +90,7 @@ class Pattern:
     def __init__(self, equations: Residual, basis: Fourier, powers: Sequence[np.ndarray] | None = None) -> None:
         self.equations, self.basis, count = equations, basis, basis.count
         powers = basis.powers if powers is None else powers
-        self.turning, self.products, rows, columns = [], [], [], []
+        self.turning, self.products, self.moved, rows, columns = [], [], [], [], []
         block = np.indices((count, count)).reshape(2, -1)
         for k, power in enumerate(powers):
             pairs, (i, j) = equations.steady[equations.steady[:, 2] == k], np.nonzero(power)
@@ -99,8 +99,10 @@ class Pattern:
             columns.append((pairs[:, 1:2] * count + j).ravel())
         for k, power in enumerate(powers):
             pairs = equations.varying[equations.varying[:, 2] == k] if power.any() else equations.varying[:0]
-            products = np.einsum("as,sb->sab", basis.back, basis.values @ power)
-            self.products.append(products.reshape(basis.times.size, -1))
+            self.moved.append(basis.values @ power)
+            small = basis.times.size * count**2 <= TABLED
+            products = np.einsum("as,sb->sab", basis.back, self.moved[k]) if small else None
+            self.products.append(None if products is None else products.reshape(basis.times.size, -1))
             rows.append((pairs[:, :1] * count + block[0]).ravel())
             columns.append((pairs[:, 1:2] * count + block[1]).ravel())
         self.idle, self.whole = [not power.any() for power in powers], equations.size * count
@@ -113,12 +115,18 @@ class Pattern:
         """The sparse matrix of steady slopes and of samples (k x s) of the others."""
         steady, moving = self.equations.steady[:, 2], self.equations.varying[:, 2]
         parts = [np.outer(fixed[steady == k], self.turning[k]).ravel() for k in range(3)]
-        parts += [(varying[moving == k] @ self.products[k]).ravel() for k in range(3) if not self.idle[k]]
+        parts += [self._blocks(k, varying[moving == k]).ravel() for k in range(3) if not self.idle[k]]
         values = np.concatenate(parts)
         data: Any = np.bincount(self.slots, values.real, self.indices.size)
         if np.iscomplexobj(values):
             data = data + 1j * np.bincount(self.slots, values.imag, self.indices.size)
         return sparse.csc_matrix((data, self.indices, self.starts), shape=(self.whole, self.whole))
+
+    def _blocks(self, k: int, samples: np.ndarray) -> np.ndarray:
+        """What samples (m x s) of slopes by the k-th power take coefficients to (m blocks of K x K)."""
+        if (products := self.products[k]) is not None:
+            return np.asarray(samples @ products)
+        return np.array([(self.basis.back * row) @ self.moved[k] for row in samples])
 
 
 class Condensed:
