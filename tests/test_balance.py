@@ -18,7 +18,7 @@ from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.families.members import extents
 from orbitfinder.families.verified import verified
 from orbitfinder.mechanics.kind import with_parameters
-from orbitfinder.orbits import hill, implicit
+from orbitfinder.orbits import harmonics, hill, implicit
 from orbitfinder.orbits.balance import begun, states_of
 from orbitfinder.orbits.decay import decay
 from orbitfinder.orbits.hill import exponents, monodromy
@@ -55,6 +55,18 @@ def test_a_linear_motion_is_its_linear_response():
     assert orbit.state == pytest.approx([answer.real, -1.3 * answer.imag], rel=1e-13)
     moduli = np.exp(-0.025 * orbit.period)
     assert np.abs(orbit.floquet_multipliers) == pytest.approx([moduli, moduli], rel=1e-9)
+
+
+def test_products_of_many_orders_are_made_when_they_are_wanted(monkeypatch):
+    """A table of them took 8 GB of two masses at a stop; without it the slopes are the same."""
+    point = begun(duffing(), "frequency")
+    balanced, w = point.problem, point.w
+    _, varying, *_ = balanced.sampled(w)
+    monkeypatch.setattr(harmonics, "TABLED", 0)
+    fixed, made = balanced.equations.fixed(balanced.values(w)), harmonics.Pattern(balanced.equations, balanced.basis)
+    assert made.products == [None] * 3 and balanced.pattern.products[0] is not None
+    theirs, ours = (pattern.matrix(fixed, varying).toarray() for pattern in (balanced.pattern, made))
+    assert np.abs(ours - theirs).max() < 1e-13 * np.abs(theirs).max()
 
 
 def test_shooting_finds_the_same_motion():

@@ -27,10 +27,10 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.residual import Residual
 from orbitfinder.mechanics.newton import Settings, Solver
 
-SAMPLES, LEAST, REFINED, POWERS, KEPT = 4, 1e-3, 2, 4, 0.4
+SAMPLES, LEAST, REFINED, POWERS, KEPT, TABLED = 4, 1e-3, 2, 4, 0.4, 4e6
 """Times over a period, in multiples of the highest order: products of three are not taken for others. Share of the
 largest size that a coordinate's is at least; refinements of a solution; iterations for a kernel; sizes are kept until
-their logarithms change by so much"""
+their logarithms change by so much; numbers in a table of products, which grows by the cube of the orders"""
 LEFT, NOISY, HIGHEST = 3e-14, 0.1, 400
 """The next orders are no larger than this, in the sizes of the coordinates, or than so many round-offs; the highest
 order that is tried"""
@@ -106,7 +106,7 @@ class Pattern:
     def __init__(self, equations: Residual, basis: Fourier, powers: Sequence[np.ndarray] | None = None) -> None:
         self.equations, self.basis, count = equations, basis, basis.count
         powers = basis.powers if powers is None else powers
-        self.products, turning, sources, rows, columns = [], [], [], [], []
+        self.products, self.moved, turning, sources, rows, columns = [], [], [], [], [], []
         block = np.indices((count, count)).reshape(2, -1)
         for k, power in enumerate(powers):
             own, (i, j) = np.flatnonzero(equations.steady[:, 2] == k), np.nonzero(power)
@@ -117,8 +117,10 @@ class Pattern:
             columns.append((pairs[:, 1:2] * count + j).ravel())
         for k, power in enumerate(powers):
             pairs = equations.varying[equations.varying[:, 2] == k] if power.any() else equations.varying[:0]
-            products = np.einsum("as,sb->sab", basis.back, basis.values @ power)
-            self.products.append(products.reshape(basis.times.size, -1))
+            self.moved.append(basis.values @ power)
+            small = basis.times.size * count**2 <= TABLED
+            products = np.einsum("as,sb->sab", basis.back, self.moved[k]) if small else None
+            self.products.append(None if products is None else products.reshape(basis.times.size, -1))
             rows.append((pairs[:, :1] * count + block[0]).ravel())
             columns.append((pairs[:, 1:2] * count + block[1]).ravel())
         self.idle, self.whole = [not power.any() for power in powers], equations.size * count
@@ -131,8 +133,14 @@ class Pattern:
     def matrix(self, fixed: np.ndarray, varying: np.ndarray) -> Any:
         """The sparse matrix of steady slopes and of samples (k x s) of the others."""
         moving = self.equations.varying[:, 2]
-        values = [(varying[moving == k] @ self.products[k]).ravel() for k in range(3) if not self.idle[k]]
+        values = [self._blocks(k, varying[moving == k]).ravel() for k in range(3) if not self.idle[k]]
         return self._slots.matrix(np.concatenate([np.zeros(0), *values]), self.still @ fixed)
+
+    def _blocks(self, k: int, samples: np.ndarray) -> np.ndarray:
+        """What samples (m x s) of slopes by the k-th power take coefficients to (m blocks of K x K)."""
+        if (products := self.products[k]) is not None:
+            return np.asarray(samples @ products)
+        return np.array([(self.basis.back * row) @ self.moved[k] for row in samples])
 
 
 class Condensed:
