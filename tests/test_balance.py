@@ -17,6 +17,7 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.families.members import extents
 from orbitfinder.families.verified import verified
+from orbitfinder.integrate.residual import Residual
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.orbits import harmonics, hill, implicit
 from orbitfinder.orbits.balance import begun, states_of
@@ -268,6 +269,29 @@ def test_an_energy_bounds_all_exponents(frequency):
         assert rate <= -about.values.real.max()
         if damping == 0.4:
             assert rate > -0.4 * about.values.real.max()
+
+
+def test_what_is_linear_is_summed_and_carried_once(monkeypatch):
+    """A rod of 40 masses with a cubic spring at its end: the residual is that of its matrices, its slope by the drive's
+    frequency too; multipliers are those of variations that are solved for in every step, and as many as damping says.
+    """
+    rod = 2 * np.eye(40) - np.eye(40, k=1) - np.eye(40, k=-1)
+    spring, load = {"at": "q40", "kind": "cubic", "stiffness": 5.0}, {"at": "q40", "amplitude": 0.3, "frequency": 0.4}
+    model = of.structure(np.eye(40), 0.02 * np.eye(40), rod, {"end": spring}, load)
+    residual, random = Residual(model, ("frequency",)), np.random.default_rng(0)
+    times, (q, v, a), w = random.uniform(0, 6, 5), random.normal(size=(3, 40, 5)), 0.07
+    rows, _, change = residual.over(times, [q, v, a], np.array([w]))
+    expected = w**2 * a + 0.02 * w * v + rod @ q
+    expected[-1] += 5 * q[-1] ** 3 - 0.3 * np.cos(times)
+    assert rows == pytest.approx(expected, abs=1e-13) == residual.rows(times, [q, v, a], np.array([w]))
+    assert change == pytest.approx(2 * w * a + 0.02 * v, abs=1e-13)
+    point = begun(of.Problem(model, of.guesses.linear_response(model)), "frequency")
+    given = model, states_of(point, np.zeros(1))[0], 2 * np.pi / 0.4
+    once = gathered(*given)[0].floquet.multipliers
+    monkeypatch.setattr(implicit, "FEW", 0.0)
+    whole = gathered(*given)[0].floquet.multipliers
+    assert np.abs(once[:, None] - whole).min(axis=0).max() < 1e-12
+    assert np.log(np.abs(once)).sum() == pytest.approx(-40 * 0.02 * given[2], rel=1e-9)
 
 
 def test_an_energy_bounds_how_far_the_true_orbit_is():

@@ -21,9 +21,6 @@ from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
 from orbitfinder.mechanics.model import Model
 
-STRAIGHT = 32
-"""Rows that are sums of steady slopes, from which on a sparse product makes them"""
-
 
 class Residual:
     """G of a Model with parameters free (of "" nothing is), and its slopes, over many times in a call.
@@ -57,7 +54,7 @@ class Residual:
         picked = [every[np.flatnonzero(which).tolist()] for which in (varies, ~varies)]
         bent = np.array(ca.which_depends(rows, tau, 1, True), bool)
         bent[self.varying[:, 0]] = True
-        bent |= self.size - bent.sum() < STRAIGHT
+        bent |= bent.sum() > self.size - 32  # of fewer a sparse product takes longer
         self._straight, self._bent = np.flatnonzero(~bent), np.flatnonzero(bent)
         own = np.flatnonzero(~bent[self.steady[:, 0]])
         own = own[np.argsort(self.steady[own, 0], kind="stable")]  # by rows: a matrix of all at once

@@ -38,7 +38,7 @@ from orbitfinder.orbits.floquet import Floquet, judged, reduce_monodromy
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
 from orbitfinder.orbits.implicit import SMALL, STAGES, Variations, truncated
 
-SOUGHT, MOST_SOUGHT, VECTORS, CONVERGED = 2, 24, 14, 1e-5
+SOUGHT, MOST_SOUGHT, VECTORS, CONVERGED = 2, 24, 12, 1e-5
 """Exponents about a shift, at first and at most, vectors that they are sought in, their relative error"""
 STEP, SPARSE, MOST_STEPS = 0.5, 1.0, 4096
 """Steps of a march for all exponents, in units of the fastest motion, of free motions, and how many at most"""
