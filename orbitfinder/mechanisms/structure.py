@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from inspect import signature
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -170,7 +171,8 @@ def _read(name: str, file: str, data: bytes) -> Any:
                 return archive[archive.files[0]]
         if not data.lstrip().startswith(MARKET.encode()):
             raise ValueError(f"it begins with neither {MARKET} nor as .npz does")
-        return mmread(BytesIO(data.lstrip()))
+        kept = {"spmatrix": False} if "spmatrix" in signature(mmread).parameters else {}  # SciPy 1.18 warns without it
+        return mmread(BytesIO(data.lstrip()), **kept)
     except Exception as error:  # of SciPy, NumPy and zipfile: what they raise has no common base
         raise InputError(
             f"{name}: {file} is no matrix ({shortened(error, 120)}); give a Matrix Market or .npz file"
