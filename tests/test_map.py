@@ -108,8 +108,8 @@ def test_workers_and_a_resumed_run_give_the_same_bits(plane, tmp_path):
 def test_processes_give_the_same_bits():
     model = of.systems.forced_pendulum(torque=0.9, damping=0.5)
     driven = of.Problem(model, of.Guess([0.1, 0.0], 3.14159), name="swing")
-    given = {"damping": [0.4, 0.5, 0.6], "torque": np.linspace(0.7, 1.0, 20)}
-    one, two = (of.map_plane(driven, given, sample=1, workers=workers) for workers in (1, 2))
+    given = {"damping": [0.4, 0.5], "torque": np.linspace(0.7, 1.0, 17)}
+    one, two = (of.map_plane(driven, given, sample=0, workers=workers) for workers in (1, 2))
     assert np.array_equal(one.nodes, two.nodes) and np.array_equal(one.multipliers, two.multipliers) and one.known.all()
 
 
@@ -125,12 +125,12 @@ def test_beyond_a_fold_is_blank_with_its_reason():
 
 
 def test_steps_between_distant_pixels_are_as_short_as_they_must_be():
-    """Three pixels along a resonance are orbits of thirty; a clock that stands still is a sentence."""
+    """Three pixels along a resonance are orbits of seventeen; a clock that stands still is a sentence."""
     model = of.systems.forced_duffing(stiffness=1.0, cubic=1.0, damping=0.1, force=0.3, frequency=0.6)
     low = of.Problem(model, of.guesses.linear_response(model), name="low")
     force = [0.25, 0.3]
-    coarse, fine = (of.map_plane(low, frequency=np.linspace(0.6, 1.6, k), force=force, sample=0) for k in (3, 31))
-    assert np.allclose(coarse.nodes[:, :, 0], fine.nodes[:, ::15, 0], atol=1e-9) and coarse.known.all()
+    coarse, fine = (of.map_plane(low, frequency=np.linspace(0.6, 1.6, k), force=force, sample=0) for k in (3, 17))
+    assert np.allclose(coarse.nodes[:, :, 0], fine.nodes[:, ::8, 0], atol=1e-9) and coarse.known.all()
     with pytest.raises(InputError, match="frequency: at -0.5 the period of the forcing is -12.5664 s; give values"):
         of.map_plane(low, frequency=[-0.5, 0.5], force=force)
     with pytest.raises(InputError, match="frequency: at 0 the period of the forcing is inf s; give values"):
