@@ -1,6 +1,6 @@
 """The numbers of generated C as data, so that equations at other values of their parameters need no other library.
 
-    code, numbers = apart(code)               # "a3=9.81;" has become "a3=HELD[0];"
+    code, numbers = apart(code)               # "a3=9.81;" has become "a3=CONSTANTS[0];"
     with holding(path, numbers) as own: ...   # a library that holds these
 
 Whatever is written out by CasADi or in lanes has a constant for each number that a parameter enters, and the same text
@@ -40,7 +40,7 @@ def apart(code: str) -> tuple[str, np.ndarray]:
 
     def constant(written: re.Match[str]) -> str:
         numbers.append(float.fromhex(written[2]) if "x" in written[2] else float(written[2]))
-        return f"{written[1]}HELD[{len(numbers) - 1}]"
+        return f"{written[1]}CONSTANTS[{len(numbers) - 1}]"
 
     def table(written: re.Match[str]) -> str:
         tables.append(f"  for (int i = 0; i < {written[2]}; i++) {written[1]}[i] = given[{len(numbers)} + i];")
@@ -49,8 +49,8 @@ def apart(code: str) -> tuple[str, np.ndarray]:
 
     code = _CONSTANT.sub(constant, _REMARK.sub("", code))
     if count := len(numbers):
-        tables.append(f"  for (int i = 0; i < {count}; i++) HELD[i] = given[i];")
-        code = f"static double HELD[{count}];\n{code}"
+        tables.append(f"  for (int i = 0; i < {count}; i++) CONSTANTS[i] = given[i];")
+        code = f"static double CONSTANTS[{count}];\n{code}"
     code = _TABLE.sub(table, code)
     if not numbers:
         return code, np.zeros(0)
