@@ -61,7 +61,7 @@ def system_call(system: Mapping[str, Any]) -> str:
         for key, value in system.items()
         if key not in ("kind", "independent", *FIRST[kind])
     }
-    made = call(f"of.{kind}", [system[key] for key in FIRST[kind]], rest)
+    made = call(f"of.{kind}", [system.get(key) for key in FIRST[kind]], rest)
     if "independent" in system:
         return call(f"of.linkages.minimal_{kind}", [Code(made), system["independent"]])
     return made
