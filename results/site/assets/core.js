@@ -50,6 +50,33 @@ var orbitfinder = (function () {
     this.tip = last < 0 ? null : this.closed ? [Math.floor((many - 1) / 2), Math.ceil((many - 1) / 2)] : [last, last];
   }
 
+  // The solids of a robot's bodies: half the sides of their boxes, corners as shares of these, triangles, and of every
+  // corner of these a normal, smooth where triangles meet at less than 40 degrees.
+  function solids(name) {
+    var kept = data[name];
+    if (!kept || kept.ready) return kept;
+    return data[name] = Object.assign(kept.map(function (entry) {
+      var half = entry.slice(3, 6), at = new Int16Array(bytes(entry[6])), faces = new Uint16Array(bytes(entry[7]));
+      var corners = new Float32Array(at.length), normals = new Float32Array(3 * faces.length), flat = new Float32Array(faces.length), near = [], k, d;
+      for (k = 0; k < at.length; k++) corners[k] = at[k] / 32767 * half[k % 3];
+      for (k = 0; k < faces.length; k += 3) {
+        var a = 3 * faces[k], b = 3 * faces[k + 1], c = 3 * faces[k + 2], u = [], v = [];
+        for (d = 0; d < 3; d++) { u.push(corners[b + d] - corners[a + d]); v.push(corners[c + d] - corners[a + d]); }
+        for (d = 0; d < 3; d++) flat[k + d] = u[(d + 1) % 3] * v[(d + 2) % 3] - u[(d + 2) % 3] * v[(d + 1) % 3];
+        for (d = 0; d < 3; d++) (near[faces[k + d]] = near[faces[k + d]] || []).push(k);
+      }
+      for (k = 0; k < faces.length; k++) {
+        var own = k - k % 3, sum = [0, 0, 0], size = Math.hypot(flat[own], flat[own + 1], flat[own + 2]);
+        near[faces[k]].forEach(function (other) {
+          var dot = flat[own] * flat[other] + flat[own + 1] * flat[other + 1] + flat[own + 2] * flat[other + 2];
+          if (dot >= 0.77 * size * Math.hypot(flat[other], flat[other + 1], flat[other + 2])) for (d = 0; d < 3; d++) sum[d] += flat[other + d];
+        });
+        for (d = 0; d < 3; d++) normals[3 * k + d] = sum[d] / (Math.hypot(sum[0], sum[1], sum[2]) || 1);
+      }
+      return { half: half, corners: corners, faces: faces, normals: normals };
+    }), { ready: true });
+  }
+
   // All positions at a time in s: Catmull-Rom between samples, periodic; a hybrid motion waits where it jumps.
   Motion.prototype.at = function (time) {
     var n = this.count, place = (((time / this.span) % 1) + 1) % 1 * n;
@@ -251,7 +278,7 @@ var orbitfinder = (function () {
     });
   };
 
-  Scene.prototype.release = function () { this.width = 0; this.canvas.width = this.canvas.height = 0; };
+  Scene.prototype.release = function () { this.width = 0; this.dots = null; this.canvas.width = this.canvas.height = 0; };
   Scene.prototype.point = function (now, p) {
     var many = this.motion.points;
     return this.spot([now[p], now[p + many], this.view ? now[p + 2 * many] : 0]);
@@ -468,7 +495,7 @@ var orbitfinder = (function () {
   Scene.prototype.ghost = function (time, line) {
     var pen = this.pen, scene = this, m = this.beside, now = m.at(time), all = [];
     for (var p = 0; p < m.points; p++) all.push(p);
-    var lines = m.strokes ? m.strokes.map(function (stroke) { return stroke[0] === "disc" ? [] : stroke[1]; }) : [all];
+    var lines = m.strokes ? m.strokes.map(function (stroke) { return /disc|solid/.test(stroke[0]) ? [] : stroke[1]; }) : [all];
     pen.strokeStyle = pen.fillStyle = colours(this.canvas).muted;
     pen.lineWidth = line * 0.7;
     pen.globalAlpha = 0.6;
@@ -485,13 +512,79 @@ var orbitfinder = (function () {
     pen.globalAlpha = 1;
   };
 
+  // Solids, lit from above the left shoulder: what is nearer to the eye hides the rest, dot by dot.
+  var sheet = document.createElement("canvas");
+  Scene.prototype.solid = function (now, kept) {
+    var scene = this, fine = 2, wide = Math.ceil(fine * this.width), high = Math.ceil(fine * this.height), m = this.motion, c = colours(this.canvas), pen = sheet.getContext("2d");
+    if (!this.dots || this.dots.width !== wide || this.dots.height !== high) {
+      this.dots = new ImageData(wide, high);
+      this.depths = new Float32Array(wide * high);
+    }
+    var dots = new Uint32Array(this.dots.data.buffer), depths = this.depths, box = [wide, high, 0, 0], x = [], y = [], z = [], light = [], number = 0;
+    dots.fill(0);
+    depths.fill(-Infinity);
+    function shades(colour, paler) {
+      pen.fillStyle = colour;
+      var hex = parseInt(pen.fillStyle.slice(1), 16), table = new Uint32Array(256);
+      for (var k = 0; k < 256; k++) {
+        for (var d = 0, value = 0; d < 3; d++) {
+          var full = hex >> 8 * (2 - d) & 255, base = full + paler * (255 - full);
+          value = value * 256 + Math.round(k < 190 ? base * (0.4 + 0.6 * k / 190) : base + (255 - base) * (k - 190) / 130);
+        }
+        table[k] = (255 << 24 | (value & 255) << 16 | (value >> 8 & 255) << 8 | value >> 16 & 255) >>> 0;
+      }
+      return table;
+    }
+    function fill(table) {
+      var order = [0, 1, 2].sort(function (i, j) { return y[i] - y[j]; }), a = order[0], b = order[1], e = order[2];
+      var area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
+      if (Math.abs(area) < 1e-6) return;
+      function slope(of) { return [((of[1] - of[0]) * (y[2] - y[0]) - (of[2] - of[0]) * (y[1] - y[0])) / area, ((of[2] - of[0]) * (x[1] - x[0]) - (of[1] - of[0]) * (x[2] - x[0])) / area]; }
+      var zs = slope(z), ls = slope(light), from = Math.max(0, Math.ceil(y[a])), to = Math.min(high - 1, Math.floor(y[e]));
+      for (var row = from; row <= to; row++) {
+        var long = x[a] + (x[e] - x[a]) * (row - y[a]) / (y[e] - y[a]);
+        var short = row < y[b] ? x[a] + (x[b] - x[a]) * (row - y[a]) / (y[b] - y[a]) : y[e] > y[b] ? x[b] + (x[e] - x[b]) * (row - y[b]) / (y[e] - y[b]) : x[b];
+        var left = Math.max(0, Math.ceil(Math.min(long, short))), right = Math.min(wide - 1, Math.floor(Math.max(long, short)));
+        var depth = z[0] + (left - x[0]) * zs[0] + (row - y[0]) * zs[1], shade = light[0] + (left - x[0]) * ls[0] + (row - y[0]) * ls[1];
+        for (var k = row * wide + left, end = k + right - left; k <= end; k++, depth += zs[0], shade += ls[0]) {
+          if (depth > depths[k]) { depths[k] = depth; dots[k] = table[shade < 0 ? 0 : shade > 255 ? 255 : shade | 0]; }
+        }
+        if (left <= right) box = [Math.min(box[0], left), Math.min(box[1], row), Math.max(box[2], right + 1), Math.max(box[3], row + 1)];
+      }
+    }
+    m.strokes.forEach(function (stroke) {
+      if (stroke[0] !== "solid" || !kept[number]) return;
+      var solid = kept[number++], at = stroke[1].map(function (p) { return scene.point(now, p); }), origin = at[0];
+      var ways = at.slice(1).map(function (side, d) { return side.map(function (value, i) { return (value - origin[i]) * (i < 2 ? fine : fine * scene.scale) / solid.half[d]; }); });
+      var still = stroke[1].every(function (p) { return m.fixed[p]; }), table = shades(still ? c.ground : c.link, still ? 0.2 : number % 2 ? 0 : 0.35);
+      var many = solid.corners.length / 3, placed = new Float32Array(3 * many), n = solid.normals, f = solid.faces, k, i, d;
+      for (k = 0; k < many; k++) for (i = 0; i < 3; i++) {
+        for (d = 0, placed[3 * k + i] = origin[i] * (i < 2 ? fine : fine * scene.scale); d < 3; d++) placed[3 * k + i] += solid.corners[3 * k + d] * ways[d][i];
+      }
+      var unit = 1 / (fine * scene.scale), sun = ways.map(function (way) { return unit * (-0.42 * way[0] - 0.56 * way[1] + 0.714 * way[2]); });
+      for (k = 0; k < f.length; k += 3) {
+        for (i = 0; i < 3; i++) { x[i] = placed[3 * f[k + i]]; y[i] = placed[3 * f[k + i] + 1]; z[i] = placed[3 * f[k + i] + 2]; }
+        var side = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]) > 0 ? -1 : 1; // seen from inside
+        for (i = 0; i < 3; i++) light[i] = 60 + 195 * Math.max(0, side * (sun[0] * n[3 * (k + i)] + sun[1] * n[3 * (k + i) + 1] + sun[2] * n[3 * (k + i) + 2]));
+        fill(table);
+      }
+    });
+    if (box[2] <= box[0]) return;
+    var w = box[2] - box[0], h = box[3] - box[1];
+    if (sheet.width < wide || sheet.height < high) { sheet.width = Math.max(sheet.width, wide); sheet.height = Math.max(sheet.height, high); }
+    pen.putImageData(this.dots, 0, 0, box[0], box[1], w, h);
+    this.pen.drawImage(sheet, box[0], box[1], w, h, box[0] / fine, box[1] / fine, w / fine, h / fine);
+  };
+
   // Rods with pins at their ends, springs and discs as thin lines, sliders and the ground filled.
   Scene.prototype.mechanism = function (now, line) {
-    var pen = this.pen, scene = this, c = colours(this.canvas), r = line * 0.9;
+    var pen = this.pen, scene = this, c = colours(this.canvas), r = line * 0.9, kept = this.view && this.motion.around.solids && solids(this.motion.around.solids);
+    if (kept) this.solid(now, kept);
     this.motion.strokes.forEach(function (stroke) {
+      if (stroke[0] === "solid" || (kept && /bone|ground|slider/.test(stroke[0]))) return;
       var kind = stroke[0], at = stroke[1].map(function (p) { return scene.point(now, p); });
       var x = at[0][0], y = at[0][1], far = at[at.length - 1], dx = far[0] - x, dy = far[1] - y;
-      pen.lineWidth = kind === "rod" ? line : line * 0.5;
+      pen.lineWidth = kind === "rod" || kind === "bone" ? line : line * 0.5;
       pen.strokeStyle = kind === "spring" ? c.muted : kind === "ground" ? c.ground : c.link;
       pen.fillStyle = kind === "ground" ? c.ground : c.joint;
       pen.beginPath();
@@ -514,7 +607,7 @@ var orbitfinder = (function () {
         pen.lineTo(far[0], far[1]);
       } else at.forEach(function (p) { pen.lineTo(p[0], p[1]); });
       pen.stroke();
-      if (kind === "rod") at.forEach(function (p) {
+      if (kind === "rod" || kind === "bone") at.forEach(function (p) {
         pen.beginPath();
         pen.arc(p[0], p[1], at.length === 1 ? 1.6 * line : 0.7 * r, 0, 2 * Math.PI); // a mass in a point, or a pin
         pen.fill();

@@ -15,7 +15,7 @@
     var x = [], y = [], which = [], colours = [], order = 0;
     it.items.forEach(function (one, k) {
       if (one.kind !== kind) return;
-      var colour = kind === "chaotic" ? c.muted : kind === "undecided" ? c.ink : kind === "orbit" ? c.surface : c.series[[2, 3, 4, 5][order++ % 4] % c.series.length];
+      var colour = kind === "chaotic" ? c.muted : kind === "undecided" ? c.ink : kind === "orbit" ? c.surface : c.series[2 + order++ % 3];
       one.x.forEach(function (value, i) { x.push(value); y.push(one.y[i]); which.push(k); colours.push(colour); });
     });
     var orbit = kind === "orbit";
