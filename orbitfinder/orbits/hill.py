@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh, splu
+from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs, eigsh, splu
 
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.sizes import relative
@@ -38,8 +38,9 @@ from orbitfinder.orbits.floquet import Floquet, judged, reduce_monodromy
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
 from orbitfinder.orbits.implicit import SMALL, STAGES, Variations, truncated
 
-SOUGHT, MOST_SOUGHT, VECTORS, CONVERGED = 2, 24, 12, 1e-5
-"""Exponents about a shift, at first and at most, vectors that they are sought in, their relative error"""
+SOUGHT, MOST_SOUGHT, VECTORS, RESTARTS, CONVERGED = 2, 24, 12, 8, 1e-5
+"""Exponents about a shift, at first and at most, vectors that they are sought in, restarts with so few, their relative
+error"""
 STEP, SPARSE, MOST_STEPS = 0.5, 1.0, 4096
 """Steps of a march for all exponents, in units of the fastest motion, of free motions, and how many at most"""
 INSTANTS, EVEN, GROWN, PARTNER = 8, 1e-11, 1e-5, 1e-2
@@ -343,11 +344,18 @@ def _about(problem: Balanced, w: Coefficients, shift: complex, count: int) -> tu
 
     start = np.random.default_rng(0).normal(size=2 * size).astype(kind)
     operator = LinearOperator((2 * size, 2 * size), matvec=applied, dtype=kind)
-    vectors = min(max(VECTORS, 3 * count), 2 * size - 1)
-    try:
-        picked = eigs(operator, count, which="LM", v0=start, ncv=vectors, tol=CONVERGED, return_eigenvectors=False)
-    except ArpackError as error:
-        raise ConvergenceError(f"the exponents about {shift} are not told ({error})") from None
+    for more in (1, 2, 4):  # of exponents close together many restarts are needed, or more vectors
+        vectors, restarts = min(more * max(VECTORS, 3 * count), 2 * size - 1), RESTARTS if more < 4 else None
+        try:
+            picked = eigs(operator, count, which="LM", v0=start, ncv=vectors, maxiter=restarts, tol=CONVERGED,
+                          return_eigenvectors=False)  # fmt: skip
+            break
+        except ArpackNoConvergence:
+            continue
+        except ArpackError as error:
+            raise ConvergenceError(f"the exponents about {shift} are not told ({error})") from None
+    else:
+        raise ConvergenceError(f"the exponents about {shift} are not told by {vectors} vectors")
     theta = 1.0 / picked
     return shift + theta, float(np.abs(theta).max())
 
