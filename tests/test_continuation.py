@@ -25,6 +25,7 @@ from orbitfinder.continuation.follow import (
 from orbitfinder.continuation.problem import Linear, Point, Solver, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.mechanics.newton import Settings
+from orbitfinder.records.journal import begin_journal, header_of
 
 PACE = Pace(first=0.1, longest=0.3, points=40)
 
@@ -279,12 +280,19 @@ def test_a_journal_that_was_edited_is_refused(tmp_path):
         whole(circle(), Goals("p"), Pace(points=5), path)
 
 
-def test_another_request_begins_anew(tmp_path):
+def test_another_request_leaves_what_is_there(tmp_path):
+    """It was begun anew over it, also where the first point is the same and leads the other way."""
     path = tmp_path / "curve.jsonl"
     whole(circle(), Goals("p"), Pace(points=5), path)
-    problem, _, direction = circle()
-    _, keeping = whole((problem, np.array([0.02, 1.01]), direction), Goals("p"), Pace(points=5), path)
-    assert keeping.solves == 5
+    problem, w, direction = circle()
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=r"curve.jsonl: w\.0: 0.02 there, 0.04 asked for; .*give another folder"):
+        whole((problem, w + 0.02, direction), Goals("p"), Pace(points=5), path)
+    with pytest.raises(InputError, match=r"curve.jsonl: until: the other way there, this way asked for"):
+        CurveJournal(Numbers(problem), path, {"w": w}, lambda first: False)
+    assert path.read_bytes() == before
+    begin_journal(path, header_of({"w": "nothing came of it"}))
+    assert whole(circle(), Goals("p"), Pace(points=5), path)[1].solves == 5
 
 
 def test_which_way_leads_there():

@@ -4,6 +4,7 @@ import contextlib
 import importlib
 import json
 import pickle
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -243,6 +244,19 @@ def test_a_run_that_is_killed_goes_on(nerve, tmp_path, monkeypatch):
         assert one.kind == other.kind and one.parameter == pytest.approx(other.parameter, abs=1e-8)
     before = journal.read_bytes()
     assert became(run()) == became(tree) and journal.read_bytes() == before
+
+
+def test_less_of_a_diagram_leaves_what_is_there(nerve, tmp_path):
+    """A nearer bound cut the curves of the larger diagram, and less depth left them out of its file."""
+    home = tmp_path / "nerve"
+    shutil.copytree(nerve[1], home)
+    files = {file: file.read_bytes() for file in home.rglob("*") if file.is_file()}
+    for until, depth, words in ((200.0, 2, "until: 250.0 there, 200.0"), (250.0, 0, "depth: 2 there, 0")):
+        with pytest.raises(InputError, match=f"diagram.json: {words} asked for; .* delete "):
+            of.diagram(morris_lecar(), [-40.0, 0.05], "I", until, depth=depth, name="nerve", out=tmp_path)
+    with pytest.raises(InputError, match=r"equilibria.jsonl: state.0: -40.0 there, -41.0 asked for"):
+        of.diagram(morris_lecar(), [-41.0, 0.05], "I", 250.0, name="nerve", out=tmp_path)
+    assert files == {file: file.read_bytes() for file in home.rglob("*") if file.is_file()}
 
 
 def test_a_budget_is_kept():

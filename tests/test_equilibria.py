@@ -347,7 +347,7 @@ def test_other_equilibria_leave_at_branch_points(tmp_path):
     model = lorenz(0.2)
     origin = of.follow_equilibria(model, [0.0, 0.0, 0.0], "rho", until=28.0)
     branch = of.switch_branch(origin, 0, model=model)
-    found = of.follow_equilibria(branch, until=28.0, out=tmp_path)
+    found = of.follow_equilibria(branch, until=28.0, out=tmp_path / "lorenz")
     for point in found.points:
         x, y, z = point.state
         assert abs(z - (point.value - 1)) < 1e-12 and abs(x - y) < 1e-12 and abs(x**2 - 8 / 3 * z) < 1e-11

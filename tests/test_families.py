@@ -343,10 +343,24 @@ def told(family):
     return json.loads(json.dumps(plain([document, points])))
 
 
-@pytest.mark.parametrize("stops", [(-2.0, 1.0), (-2.0, None), (None, -2.0), (1.0, -2.0), (-2.0, -2.0)])
+FORWARD = {"points": 14, "settings": FamilySettings(directions="forward"), "at": (-2.5,)}
+
+
+@pytest.mark.parametrize("stops", [(None, -2.0), (1.0, -2.0)])
+def test_nearer_ends_leave_what_is_there(stops, tmp_path):
+    """The points beyond were cut off the journal and the file, without a word."""
+    problem = mode_problem(chain(1), 1, 1.0)
+    follow_family(problem, out=tmp_path, until=stops[0], **FORWARD)
+    before = {path: path.read_bytes() for path in tmp_path.glob("*/family.json*")}
+    with pytest.raises(InputError, match=r"family.jsonl: until: points at \S+ there, energy = -2 asked for; what is"):
+        follow_family(problem, out=tmp_path, until=stops[1], **FORWARD)
+    assert len(before) == 2 and all(path.read_bytes() == text for path, text in before.items())
+
+
+@pytest.mark.parametrize("stops", [(-2.0, 1.0), (-2.0, None), (-2.0, -2.0)])
 def test_goes_on_to_another_end(stops, tmp_path):
-    """Farther or less far: what is known stays as it is, to the last bit, and is not computed again."""
-    ask = {"points": 14, "settings": FamilySettings(directions="forward"), "at": (-2.5,)}
+    """Farther: what is known stays as it is, to the last bit, and is not computed again."""
+    ask = FORWARD
     problem, steps = mode_problem(chain(1), 1, 1.0), []
     follow_family(problem, out=tmp_path / "on", until=stops[0], **ask)
     (journal,) = (tmp_path / "on").glob("*/family.jsonl")

@@ -533,6 +533,10 @@ def test_the_command(pendulum_orbit, tmp_path):
     assert "certified" in run("verify", folder / "controller.json")[0]
     idle = save_controller(replace(controller, gains=0 * controller.gains), tmp_path / "idle.json")
     assert "REJECTED by multipliers" in run("verify", idle, code=1)[0]  # though its file says that it is stabilised
+    said = run(*given, "--sizes", "0.01", "--saturation", "3", code=2)[1]
+    assert "controller.jsonl: limits.torque1.0: -2.0 there, -3.0 asked for" in said
+    assert of.load_controller(folder / "controller.json").limits == controller.limits
+    given = (*given[:3], tmp_path / "b", *given[4:])
     found = json.loads(run(*given, "--motors", "1", "--sizes", "0.1", "--json")[0])
     assert found["stabilised"] and found["basin"]["rows"][0]["count"] == 2 and found["authority"]["torque1"] > 0
     assert "actuators: 'torque7' is none" in run("stabilise", file, "--motors", "7", "--out", tmp_path, code=2)[1]

@@ -67,8 +67,10 @@ def test_a_sweep_goes_on(duffing, tmp_path, monkeypatch):
     del rows[:]
     fewer = of.sweep(duffing, cubic=[2.0, -1.6], out=tmp_path)  # the last is tried again, from elsewhere
     assert len(rows) == 1 and fewer.orbits[0].name == "duffing-0001" and not fewer.rows[1].certified
-    of.sweep(duffing, stiffness=[1.1], out=tmp_path)
-    assert len(rows) == 2 and len(read_lines(tmp_path / "duffing" / "sweep.jsonl", "")[0]) == 3  # begun anew
+    kept = (tmp_path / "duffing" / "sweep.jsonl").read_bytes()
+    with pytest.raises(InputError, match=r"sweep.jsonl: values.0: cubic there, stiffness asked for; .* another folder"):
+        of.sweep(duffing, stiffness=[1.1], out=tmp_path)
+    assert len(rows) == 1 and (tmp_path / "duffing" / "sweep.jsonl").read_bytes() == kept
 
 
 def test_processes_go_on(duffing, tmp_path, monkeypatch):

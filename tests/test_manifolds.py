@@ -21,6 +21,7 @@ from orbitfinder.structures.connections import (
     described,
     solved,
 )
+from orbitfinder.structures.manifold import free_file
 from orbitfinder.structures.manifolds import ManifoldSettings, local_manifold, manifold, surface_of
 
 LEVEL = 0.1
@@ -220,6 +221,17 @@ def test_a_connection_is_followed_in_energy(homoclinic, coupled):
     (found,) = of.sections.follow_connection(homoclinic, coupled, [LEVEL + 1e-3], model=wells(0.05))
     assert found.certificate.passed and found.energy == pytest.approx(LEVEL + 1e-3, abs=1e-12)
     assert 1e-6 < abs(found.state[0] - homoclinic.state[0]) < 1e-2
+
+
+def test_connections_of_another_search_take_other_files(homoclinic, tmp_path):
+    """They were numbered from 1 at each search, over those of the one before."""
+    other = replace(homoclinic, states=homoclinic.states * 1.001)
+    near = replace(homoclinic, states=homoclinic.states * (1 + 1e-13))
+    names = []
+    for each in (homoclinic, other, near, replace(homoclinic, plane="q=0")):
+        names.append(free_file(tmp_path, each).name)
+        of.sections.save_connection(each, tmp_path / names[-1])
+    assert names == [f"connection-{k}.json" for k in (1, 2, 1, 3)]
 
 
 @pytest.mark.slow

@@ -105,6 +105,19 @@ def test_workers_and_a_resumed_run_give_the_same_bits(plane, tmp_path):
         assert np.array_equal(getattr(again, name), getattr(plane, name))
 
 
+def test_a_smaller_map_leaves_a_larger_one(tmp_path):
+    """It began its journal anew and wrote over all of the pixels."""
+    small = {name: values[:3] for name, values in PLANE.items()}
+    of.map_plane(problem(), small, sample=0, out=tmp_path)
+    file = tmp_path / "mathieu" / "map.jsonl"
+    whole = file.read_bytes()
+    with pytest.raises(InputError, match=r"map.jsonl: map\.a: \[0.1, .* there, \[0.1, .*give another folder \(--out\)"):
+        of.map_plane(problem(), small | {"a": PLANE["a"][:2]}, sample=0, out=tmp_path)
+    with pytest.raises(InputError, match=r"map\.b\.1: 0.01\d* there, 0.02 asked for"):
+        of.map_plane(problem(), small | {"b": [0.0, 0.02, small["b"][2]]}, sample=0, out=tmp_path)
+    assert file.read_bytes() == whole
+
+
 def test_processes_give_the_same_bits():
     model = of.systems.forced_pendulum(torque=0.9, damping=0.5)
     driven = of.Problem(model, of.Guess([0.1, 0.0], 3.14159), name="swing")

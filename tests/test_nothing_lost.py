@@ -183,6 +183,40 @@ def test_the_file_of_an_earlier_run_is_not_written_over_by_less(tmp_path, monkey
     assert file.read_bytes() == before
 
 
+OTHERS = {
+    "continue": (["continue", LOOP, "--points", 3, "--no-figures"], ["--parameter", "period"],
+                 "family.jsonl: settings.parameter: energy there, period asked for"),
+    "curve": (["continue", "nerve/nerve/equilibria.json", "--curve", 0, "--points", 3, "--no-figures", "--name", "same",
+               "--parameters"], ["current,rate"], "equilibria.jsonl: "),
+    "equilibria": (["equilibria", ROOT / "problems/gallery/brusselator.toml", "--parameter", "rate", "--points", 4,
+                    "--until"], [1.5], "equilibria.jsonl: until: the other way there"),
+    "optima": (["continue", OSCILLATOR, "--parameter", "damping", "--at", 0.3, "--no-figures"],
+               ["--parameter", "stiffness"], "optima.jsonl: "),
+    "section": (["section", DOUBLE, "--energy", -14, "--seeds", 2, "--returns", 5, "--plane"], ["theta1=0"],
+                "section.jsonl: returns of.0: theta2=0 there, theta1=0 asked for"),
+}  # fmt: skip
+"""A command, what is asked for the second time, and how the refusal begins"""
+FIRST = {"equilibria": [3.5], "section": ["theta2=0"], "curve": ["current,b"]}
+"""What is asked for first where the command does not say it"""
+
+
+@pytest.mark.parametrize("verb", OTHERS)
+def test_another_request_writes_over_nothing(tmp_path, verb, monkeypatch):
+    """They began their journal anew, and wrote over what a finished one had led to."""
+    monkeypatch.chdir(tmp_path)
+    if verb == "curve":
+        ran("equilibria", ROOT / "problems/gallery/fitzhugh-nagumo.toml", "--parameter", "current", "--until",
+            1.6, "--name", "nerve", "-o", "nerve")  # fmt: skip
+    words, other, message = OTHERS[verb]
+    first = ran(*words, *FIRST.get(verb, ()), "-o", tmp_path)
+    files = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    assert files and first.exit_code in (0, 1), first.output
+    done = ran(*words, *other, "-o", tmp_path)
+    assert done.exit_code == 2 and message in done.stderr, done.output
+    assert "what is computed there is not written over: give another folder (--out), or delete" in done.stderr
+    assert files == {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+
+
 TORI = ("torus", LOOP, "--no-figures", "--points", 5, "-o")
 OPTIMA = ("continue", OSCILLATOR, "--parameter", "damping", "--until", 0.24, "--no-figures", "-o")
 

@@ -166,6 +166,10 @@ def test_commands_prove_and_replay_a_branch(tmp_path):
     record = tmp_path / "branch-proof.json"
     found = run.invoke(cli, ["verify", "--proof", str(record)])
     assert found.exit_code == 0 and "proof replayed" in found.output
+    whole = record.read_bytes()  # which a proof of less was written over
+    found = run.invoke(cli, ["prove", file, "--from", repr(DOUBLING - 1e-8), "--to", repr(DOUBLING + 1e-7)])
+    assert found.exit_code == 2 and f"{record}: from: {DOUBLING - 1e-7!r} to" in found.output
+    assert "give a wider range, --no-record" in found.output and record.read_bytes() == whole
     whole, recorded = json.loads(record.read_text()), read_branch(record)
     event, fresh = whole["passages"][0], replayed(recorded)
     for wrong in (

@@ -265,7 +265,7 @@ def test_the_command(tmp_path):
     (tmp_path / "damaged.json").write_text(damaged)
     assert "rows[0]: not the columns" in run("show", tmp_path / "damaged.json", code=2)[1]
     run("verify", folder / "spring-pendulum-swing-0002" / "orbit.json")
-    said, _ = run("sweep", SPRING, "--parameter", "energy=-11,-20", "--out", tmp_path, "--no-orbits", code=1)
+    said, _ = run("sweep", SPRING, "--parameter", "energy=-11,-20", "--out", tmp_path / "b", "--no-orbits", code=1)
     assert "energy = -20 J: not reached" in said and "1 of 2 certified" in said
 
 

@@ -212,9 +212,10 @@ def connect(
 ) -> None:  # fmt: skip
     """Find motions that leave one orbit and come to another of the same energy, or back to it.
 
-    Each is certified by another integrator, with an error of its point. Exit code 0: some found, or all energies of
-    --at reached; 1: not. With --follow DIR/<name>/connection.jsonl keeps each as it comes: the same command goes on
-    where it was killed, or with more energies.
+    Each is certified by another integrator, with an error of its point; files of others in DIR/<name> stay, new ones
+    take the numbers after theirs. Exit code 0: some found, or all energies of --at reached; 1: not. With --follow
+    DIR/<name>/connection.jsonl keeps each as it comes: the same command goes on where it was killed, or with more
+    energies.
 
     \b
     Examples:
@@ -224,7 +225,7 @@ def connect(
     """
     from orbitfinder.show.sections import draw_section
     from orbitfinder.structures.connections import follow_connection
-    from orbitfinder.structures.manifold import load_connection, save_connection
+    from orbitfinder.structures.manifold import free_file, load_connection, save_connection
 
     ((_, orbit, model),) = named_orbits([file], trust)
     goal: of.Orbit | None = None if other is None else named_orbits([other], trust)[0][1]
@@ -237,7 +238,7 @@ def connect(
 
     def report(met: Connection) -> None:
         interrupt.check()
-        written.append(save_connection(met, folder / f"connection-{len(written) + 1}.json"))
+        written.append(save_connection(met, free_file(folder, met)))
         place = ", ".join(f"{name} = {met.state[met.state_names.index(name)]:.12g}" for name in met.axes)
         level = "" if start is None else f" of energy {met.energy:.12g}"
         text(f"{written[-1]}: {met.kind}{level} at {place}, error {met.error:.2g}, angle {met.angle:.3g} rad")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from decimal import Decimal
 from functools import partial
 from math import log10
@@ -298,17 +299,30 @@ def _prove_branch(
         raise InputError(f"--{unused[0]}: is for single orbits; a branch chooses its own, leave it out")
     file = files[0]
     family = load_family(file)
+    target = file.parent / "branch-proof.json"
     if record:
         check_writable(file.parent, "--record")
+        _keep_wider(target, low, high)
     model = provable_model(family.points[0], trusted(file, trust))
     say = partial(_say, family.name)
     branch = prove_branch(family, low, high, model, say, given.get("symmetry"))
     interrupt.check()
     if branch.proved and record:
-        write_json(file.parent / "branch-proof.json", branch_document(branch))
+        write_json(target, branch_document(branch))
     _print_branch(f"{file} ({family.name})", branch)
     missed = [passage for passage in branch.passages if not passage.proved]
     finish("proof", {"passed": branch.proved and not missed} | branch_document(branch), branch.proved and not missed)
+
+
+def _keep_wider(file: Path, low: float, high: float) -> None:
+    """`InputError` where the proof is there of what a new one would leave out."""
+    known = None
+    with suppress(InputError):  # damaged, of an older version, or none
+        known = load(file)
+    if known is not None and known.proved and not low <= known.low <= known.high <= high:
+        there, wanted = (f"{ends[0]!r} to {ends[1]!r}" for ends in ((known.low, known.high), (low, high)))
+        raise InputError(f"{file}: from: {there} is proved there, and {wanted} asked for; that is not written over: "
+                         "give a wider range, --no-record, or move that file")  # fmt: skip
 
 
 def _prove_rest(files: tuple[Path, ...], resting: list[Path], record: bool, trust: bool, given: dict[str, Any]) -> None:

@@ -29,7 +29,7 @@ from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import End
-from orbitfinder.records.journal import append_line, begin_journal, header_of, known_lines
+from orbitfinder.records.journal import append_line, known_lines, refuse_other
 from orbitfinder.records.reading import typed
 
 LOCATED, LOOKS, MISSED = 1e-12, 60, 1e-9
@@ -316,8 +316,8 @@ class _Line:
 class CurveJournal:
     """A curve as far as it is known, by an earlier run and this one; with a path it is a journal there.
 
-    `request` is what decides whether a journal is of this curve (plain numbers); another, and one whose first point
-    `leads` elsewhere, is begun anew. Raises `InputError` for a journal that cannot be read.
+    `request` is what decides whether a journal is of this curve (plain numbers). Raises `InputError` for a journal that
+    cannot be read, is of another curve, or whose first point `leads` elsewhere.
     """
 
     def __init__(
@@ -334,8 +334,7 @@ class CurveJournal:
         wanted = plain(request or {})
         known_lines(path, wanted, self._read)
         if self.steps and not leads(self.steps[0].point):
-            self.steps, self.events, self.at, self.end = [], [], [], None
-            begin_journal(path, header_of(wanted))
+            refuse_other(path, {"until": "the other way"}, {"until": "this way"})
 
     def _read(self, entries: Mapping[str, Any]) -> None:
         line: _Line = typed(_Line, entries, "")

@@ -29,6 +29,7 @@ from orbitfinder.mechanics.constrained import constraint_rows, tangent_basis
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, constraint_of, vector_field
 from orbitfinder.mechanics.newton import closed, least_norm
+from orbitfinder.records.codec import plain
 from orbitfinder.records.journal import checkpoints, fill, packed, unpacked
 from orbitfinder.records.reading import content_digest
 
@@ -101,8 +102,8 @@ def basin(
     peak, power = np.zeros((2, len(pushed), len(controller.actuators)))
     path = None if out is None else Path(out) / controller.name / "controller.jsonl"
     tried = content_digest(CODEC.document(replace(controller, basin=None)))
-    request = {"controller": tried, "sizes": [*map(float, sizes)], "disturbances": disturbances, "rate": rate,
-               "noise": float(noise), "seed": seed}  # fmt: skip
+    request = {"sizes": [*map(float, sizes)], "disturbances": disturbances, "rate": rate, "noise": float(noise),
+               "seed": seed, "limits": plain(controller.limits), "controller": tried}  # fmt: skip
 
     def now() -> list[np.ndarray]:
         """What the next period needs of the one before it."""

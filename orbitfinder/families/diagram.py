@@ -34,6 +34,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, Check, at_most, equal
 from orbitfinder.records.codec import Codec
 from orbitfinder.records.family import JOURNAL, End, Event, Family, load_family, reached, save_family
+from orbitfinder.records.journal import refuse_other
 from orbitfinder.records.reading import write_atomically
 from orbitfinder.records.registry import kinds
 from orbitfinder.records.table import Tabled
@@ -332,6 +333,8 @@ def diagram(
     empty = BifurcationDiagram(
         name, model.system, parameter, (first, until), depth, coordinate or names[0], (), title=title
     )
+    if out is not None and (earlier := Path(out) / name / "diagram.json").exists():
+        _refuse_less(earlier, empty)
     settings = FamilySettings(parameter=parameter, directions="away", points=points, longest_step=STEP, method=method)
     tree = _Tree(empty, model, settings, None if out is None else Path(out) / name, progress or (lambda curve: None))
     alone = contextlib.nullcontext() if tree.folder is None else locks.alone_in(tree.folder)
@@ -351,6 +354,16 @@ def diagram(
                 raise
             tree.stopped = str(error)
     return tree.made()
+
+
+def _refuse_less(file: Path, asked: BifurcationDiagram) -> None:
+    """`InputError` for less of a diagram than is there: a nearer bound, or less depth."""
+    there = CODEC.load(file)
+    (begin, end), (first, until) = there.between, asked.between
+    if there.depth > asked.depth:
+        refuse_other(file, {"depth": there.depth}, {"depth": asked.depth})
+    if begin == first and (until - first) / (end - first) < 1.0:
+        refuse_other(file, {"until": end}, {"until": until})
 
 
 def _beginnings(

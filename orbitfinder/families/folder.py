@@ -52,7 +52,7 @@ from orbitfinder.records.family import (
     read_journal,
     save_family,
 )
-from orbitfinder.records.journal import begin_journal
+from orbitfinder.records.journal import begin_journal, refuse_other
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.registry import load_orbit
 
@@ -141,9 +141,9 @@ def follow_family(
         asked, wanted = (request, source), (until, at, bool(stop or between))
         return follow_by(as_problem(cast(Any, origin), model), settings, wanted, label, folder, asked, watch, progress)
     with contextlib.nullcontext() if folder is None else locks.alone_in(folder):
-        journal = None if folder is None else read_journal(folder)
+        journal = None if folder is None else _kept(folder, request)
         born = origin.event.parameter if isinstance(origin, Branch) and isinstance(origin.number, int) else None
-        if journal is None or not _same(journal.header.get("request", {}), request):
+        if journal is None:
             start = _started(origin, settings, model)
             curve = replace(start.curve, watch=watches(watch, start.curve.equations.model))
             start = replace(start, curve=curve)
@@ -183,9 +183,19 @@ def _own_way(origin: Any, settings: FamilySettings) -> Callable[..., Family] | N
     return named(by).follow if by else None
 
 
-def _same(known: Mapping[str, Any], request: Mapping[str, Any]) -> bool:
-    """Whether a journal answers a request; one that does not say of which system it is was asked by its start alone."""
-    return {"system": request["system"], **known, "until": None} == {**request, "until": None}
+def _kept(folder: Path, request: Mapping[str, Any]) -> Journal | None:
+    """The journal of a request in a folder, if any; that of another is refused where it has more than a start.
+
+    One that does not say of which system it is was asked by its start alone.
+    """
+    if (journal := read_journal(folder)) is None:
+        return None
+    known = {"system": request["system"], **journal.header.get("request", {}), "until": None}
+    if known == {**request, "until": None}:
+        return journal
+    if journal.batches:
+        refuse_other(folder / JOURNAL, known, {**request, "until": None})
+    return None
 
 
 def _read(path: str | Path) -> Orbit:
@@ -284,7 +294,10 @@ def _model_of(origin: Any, journal: Journal, model: Model | None) -> Model:
 
 
 def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Sequence[tuple[str, float]]]) -> Journal:
-    """The journal as far as it leads to where each direction shall stop, which may be elsewhere than before."""
+    """The journal as far as it leads to where each direction shall stop, which may be farther than before.
+
+    `InputError` where that would leave points of it out.
+    """
     kept, last = list[Batch](), dict[int, FamilyPoint].fromkeys(stops, journal.origin)
     for batch in journal.batches:
         side, goals = batch.direction, stops.get(batch.direction, [])
@@ -295,6 +308,9 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Sequence[tuple
             for name, value in goals for many in (met, batch.events) for member in many
         )  # fmt: skip
         ended = batch.end is not None and end_kind(batch.end.kind).asked
+        if batch.points and (side not in last or (passed and not there)):
+            beyond = f"points at {batch.points[-1].value:.9g}"
+            refuse_other(folder / JOURNAL, {"until": beyond}, {"until": _goal_words(goals)})
         if side not in last or ((ended or passed) and not there):
             last.pop(side, None)  # and what comes after it in this direction
             continue
@@ -304,6 +320,11 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Sequence[tuple
         return journal
     begin_journal(folder / JOURNAL, plain(journal.header), map(plain, kept))
     return replace(journal, batches=tuple(kept))
+
+
+def _goal_words(goals: Sequence[tuple[str, float]]) -> str:
+    """Where a direction shall end."""
+    return " or ".join(f"{name} = {value:.9g}" for name, value in goals) or "none that way"
 
 
 def _request(

@@ -13,12 +13,12 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NoReturn, TypeVar
 
 import numpy as np
 
 from orbitfinder._runtime import locks
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, shortened
 from orbitfinder.records.reading import content_digest, file_lines, json_bytes, json_document, named, write_atomically
 
 FORMAT, VERSION = "orbitfinder/journal", 1
@@ -47,7 +47,7 @@ def checkpoints(
 ) -> Iterator[Checkpoints[Line]]:
     """Those of a request (plain numbers) at a path, whose folder nobody else has meanwhile; nothing without a path.
 
-    The journal of another request is begun anew. Raises `InputError` where it cannot be read.
+    Raises `InputError` where it cannot be read, and for what is kept there of another request.
     """
     if path is None:
         yield Checkpoints(None, [])
@@ -57,9 +57,14 @@ def checkpoints(
 
 
 def known_lines(path: Path, request: Mapping[str, Any], read: Callable[[dict[str, Any]], Line]) -> list[Line]:
-    """The lines of the journal of a request; that of another is begun anew. Raises `InputError`."""
+    """The lines of the journal of a request, which is begun where there is none, or another without a line.
+
+    Raises `InputError` where it cannot be read, and for the lines of another request, which nothing writes over.
+    """
     lines, known = read_lines(path, path.name), list[Line]()
     if lines is None or lines[0][:1] != [header_of(request)]:
+        if lines and lines[0][1:]:
+            refuse_other(path, lines[0][0].get("request"), request)
         begin_journal(path, header_of(request))
         return known
     for number, entries in enumerate(lines[0][1:], start=2):
@@ -73,6 +78,35 @@ def known_lines(path: Path, request: Mapping[str, Any], read: Callable[[dict[str
 def header_of(request: Mapping[str, Any]) -> dict[str, Any]:
     """The first line of the journal of a request."""
     return {"format": FORMAT, "version": VERSION, "request": request}
+
+
+def refuse_other(path: Path, there: Any, asked: Any) -> NoReturn:
+    """`InputError` of what a journal keeps of another request than is asked for: where they differ and what to do."""
+    field, *values = next(_differences(there, asked, ""), ("version", "another", VERSION))
+    known, wanted = map(_in_words, values)
+    raise InputError(f"{path}: {field}: {known} there, {wanted} asked for; what is computed there is not written over: "
+                     f"give another folder (--out), or delete {path.parent}")  # fmt: skip
+
+
+def _differences(there: Any, asked: Any, name: str) -> Iterator[tuple[str, Any, Any]]:
+    """Where two trees of plain numbers differ, by name, outermost first where their shapes do."""
+    if isinstance(there, Mapping) and isinstance(asked, Mapping):
+        pairs = {key: (there.get(key, "nothing"), asked.get(key, "nothing")) for key in (*asked, *there)}
+    elif isinstance(there, list) and isinstance(asked, list) and len(there) == len(asked):
+        pairs = dict(enumerate(zip(there, asked, strict=True)))
+    else:
+        if there != asked:
+            yield name, there, asked
+        return
+    for key, (old, new) in pairs.items():
+        yield from _differences(old, new, f"{name}.{key}".lstrip("."))
+
+
+def _in_words(value: Any) -> str:
+    """A value of a request, short."""
+    if isinstance(value, list) and len(value) > 3:
+        return f"{len(value)} values from {shortened(value[0], 20)} to {shortened(value[-1], 20)}"
+    return shortened(value, 60)
 
 
 def fill(arrays: Iterable[np.ndarray], matrix: np.ndarray) -> None:

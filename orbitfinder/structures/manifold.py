@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.records.certificate import Certified
-from orbitfinder.records.codec import Codec, Dense, Endless, Unknown
+from orbitfinder.records.codec import Codec, Dense, Endless, Unknown, plain
 from orbitfinder.records.reading import write_atomically
 
 
@@ -187,6 +188,22 @@ CONNECTION = Codec(Connection, "connection", "`orbitfinder connect`", "make it a
 def save_connection(connection: Connection, path: str | Path) -> Path:
     """Write a connection as JSON and its motion beside it in .npz; returns the JSON's path."""
     return CONNECTION.save(connection, path)
+
+
+def free_file(folder: Path, connection: Connection) -> Path:
+    """The connection-K.json of a folder that holds this connection, else the first K that is free.
+
+    Raises `InputError` for a file that cannot be read.
+    """
+    files = (folder / f"connection-{k}.json" for k in count(1))
+    return next(file for file in files if not file.exists() or _same(load_connection(file), connection))
+
+
+def _same(one: Connection, other: Connection) -> bool:
+    """Whether both are a single motion, looked at in the same way."""
+    looked = [(plain(each.system), each.plane, each.axes) for each in (one, other)]
+    near = 1e-9 * one.origin.extents  # however it was computed
+    return looked[0] == looked[1] and bool((np.abs(one.state - other.state) <= near).all())
 
 
 def load_connection(path: str | Path) -> Connection:
