@@ -23,8 +23,10 @@ from orbitfinder.families.rest import can_rest, rest_of
 from orbitfinder.families.start import begin, full_samples
 from orbitfinder.families.verified import verified
 from orbitfinder.loops.symmetry import REFLECTION_MAP
+from orbitfinder.mechanics.kind import check_reachable
 from orbitfinder.records.family import End, Reading, plain, save_family
 
+ROOT = Path(__file__).parents[1]
 QUIET = FamilySettings(certify=False, events=False)
 DOWN, UP = (replace(QUIET, directions=one) for one in ("backward", "forward"))
 MORRIS_LECAR = ((93.857618373725453, 78.756609546026915), (212.01881610037437, 42.281921426198822))
@@ -522,3 +524,36 @@ def test_where_no_side_is_told():
                               settings=FamilySettings(certify=False))  # fmt: skip
     assert {one.criticality for one in family.events} <= {""}
     assert Reading(0.0, 1e-9, True).criticality == "" and "criticality" not in plain(Reading(0.0, 1e-9, True))
+
+
+@pytest.mark.parametrize(
+    ("file", "parameter", "goals", "words"),
+    [
+        ("families/duffing-resonance", "frequency", {"until": -1.0}, "until: frequency cannot become -1: .*-6.28"),
+        ("families/duffing-resonance", "frequency", {"at": [1.0, 0.0]}, "at: frequency cannot become 0: .* inf s"),
+        ("families/duffing-resonance", "frequency", {"until": np.nan}, "until: must be a finite value of frequency"),
+        ("examples/double-mode-2", "period", {"until": -1.0}, "until: period: must be positive, got -1;"),
+        ("examples/double-mode-2", "mass1", {"until": 0.0}, "until: mass1 cannot become 0: mass: must be greater"),
+        ("hybrid/bouncing-ball", "frequency", {"until": -2.0}, "until: frequency cannot become -2: .*must be positive"),
+        ("structures/beam", "frequency", {"until": -0.1}, "until: frequency cannot become -0.1: .*positive"),
+        ("gallery/brusselator", "rate", {"until": -1.0}, "until: rate cannot become -1: .*rate: must be positive"),
+    ],
+)
+def test_goals_that_no_orbit_can_have_are_refused_at_once(file, parameter, goals, words):
+    """They ended by step underflow, after all steps on the way; equilibria went there and could not be read again."""
+    problem = of.load_problem(ROOT / "problems" / f"{file}.toml")
+    with pytest.raises(InputError, match=words):
+        of.follow_family(problem, parameter, **goals)
+    if file == "gallery/brusselator":
+        with pytest.raises(InputError, match=words):
+            of.follow_equilibria(problem.model, problem.guess.state, parameter, **goals)
+
+
+def test_loops_that_may_not_close_there_are_left_to_the_family():
+    """Where a linkage cannot be assembled its family says where it ends; what is made by a program says its forcing."""
+    linkage = of.load_problem(ROOT / "problems" / "linkages" / "five-bar-slow-mode.toml").model
+    check_reachable(linkage, "length1", {"until": [20.0]})
+    with pytest.raises(InputError, match="until: length1 cannot become -1: length: must be greater than 0"):
+        check_reachable(linkage, "length1", {"until": [-1.0]})
+    made = of.ode(lambda t, x, p: [x[1], -x[0] + p[0]], ["x", "v"], parameters={"push": 1.0})
+    check_reachable(made, "push", {"until": [-1.0], "at": []})

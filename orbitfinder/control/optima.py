@@ -31,7 +31,7 @@ from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.loops.control import Task
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Problem
-from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.mechanics.kind import check_reachable, with_parameters
 from orbitfinder.mechanics.model import altered
 from orbitfinder.orbits.certify import certified
 from orbitfinder.records.codec import plain
@@ -90,6 +90,7 @@ def follow_optima(
     targets = [float(value) for value in (*values, *(() if until is None else (until,)))]
     if not targets or not np.all(np.isfinite(targets)):
         raise InputError(f"values: {list(values)}; give finite values of {parameter}, or until")
+    check_reachable(problem.model, parameter, {"values": values, "until": () if until is None else (until,)})
     if points < 1:
         raise InputError(f"points: must be at least 1, got {points}")
     own, label = value_of(problem, parameter), name or problem.name

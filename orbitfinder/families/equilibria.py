@@ -36,7 +36,7 @@ from orbitfinder.families.rest_problem import (
 from orbitfinder.families.rest_starts import first_equilibrium, refuse_moving
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.jets import at_rest
-from orbitfinder.mechanics.kind import build_model, with_parameters
+from orbitfinder.mechanics.kind import build_model, check_reachable, with_parameters
 from orbitfinder.mechanics.model import Model, check_state
 from orbitfinder.records.family import End, Reading
 
@@ -120,7 +120,7 @@ def follow_equilibria(
     refuse_moving(model, parameter)
     state = check_state(model, state)
     start = float(model.parameter_values[model.parameter_index(parameter)])
-    check_goals(parameter, start, until, at, points)
+    check_goals(model, parameter, start, until, at, points)
     span, label = None if until is None else until - start, name or (branch.name if branch else "equilibria")
     judge = Judge(model, (parameter,))
     if branch is None:
@@ -162,11 +162,11 @@ def gone(
     return record()
 
 
-def check_goals(parameter: str, start: float, until: float | None, at: Sequence[float], points: int) -> None:
+def check_goals(
+    model: Model, parameter: str, start: float, until: float | None, at: Sequence[float], points: int
+) -> None:  # fmt: skip
     """`InputError` for goals that are none."""
-    for label, value in (("until", until), *(("at", value) for value in at)):
-        if value is not None and not np.isfinite(value):
-            raise InputError(f"{label}: must be a finite value of {parameter}, got {value}")
+    check_reachable(model, parameter, {"until": () if until is None else (until,), "at": at})
     if points < 1:
         raise InputError(f"points: must be at least 1, got {points}")
     if until == start:

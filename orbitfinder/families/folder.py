@@ -30,7 +30,7 @@ from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import Number, as_recorded, check_stop, watches
-from orbitfinder.mechanics.kind import build_model, system_kind
+from orbitfinder.mechanics.kind import build_model, check_reachable, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hybrid import HybridCheck
@@ -134,6 +134,7 @@ def follow_family(
     if out is not None and not label:
         raise InputError("name: missing; a family that starts from a branch needs a name")
     folder = None if out is None else Path(out) / label
+    _check_goals(origin, model, settings.parameter, until, at)
     watch, stop = _watched(origin, watch), stop or {}
     check_stop(stop, watch)
     request, source = _request(origin, settings, at, watch)
@@ -177,6 +178,24 @@ def _refuse_others(given: Any) -> None:
         raise InputError(f"origin: a {type(given).__name__}; {remedy}")
 
 
+def _check_goals(origin: Any, model: Model | None, parameter: str, until: float | None, at: Sequence[float]) -> None:
+    """`InputError` for ends and values that no orbit of the family can have."""
+    goals = {"until": () if until is None else (until,), "at": at}
+    if (until is not None or len(at)) and (known := _known_model(origin, model)):
+        check_reachable(known, parameter, goals)
+
+
+def _known_model(origin: Any, model: Model | None) -> Model | None:
+    """The model of an origin, None where its description makes none, which is told where it is begun."""
+    if start := _start_of(origin):
+        return start.curve.equations.model
+    if (known := model or getattr(origin, "model", None)) is not None:
+        return cast(Model, known)
+    with contextlib.suppress(InputError):
+        return build_model(origin.system)
+    return None
+
+
 def _own_way(origin: Any, settings: FamilySettings) -> Callable[..., Family] | None:
     """What follows the family of an orbit by the method that is asked for, where no march does."""
     by = (settings.method or method_of(origin)) if isinstance(origin, Orbit | Problem) else None
@@ -186,7 +205,7 @@ def _own_way(origin: Any, settings: FamilySettings) -> Callable[..., Family] | N
 def _kept(folder: Path, request: Mapping[str, Any]) -> Journal | None:
     """The journal of a request in a folder, if any; that of another is refused where it has more than a start.
 
-    One that does not say of which system it is was asked by its start alone.
+    A journal that does not say of which system it is was asked by its start alone.
     """
     if (journal := read_journal(folder)) is None:
         return None

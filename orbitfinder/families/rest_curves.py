@@ -305,7 +305,7 @@ def follow_rest_curve(
     number, chosen = _chosen(equilibria, event)
     model = with_parameters(model, {equilibria.parameter: chosen.parameter})
     start = _start(equilibria, chosen, names, until, model)
-    rest.check_goals(names[0], start.value(names[0]), until, at, points)
+    rest.check_goals(model, names[0], start.value(names[0]), until, at, points)
     fixed = {} if equilibria.parameter in names else {equilibria.parameter: chosen.parameter}
     form, slowest = start.problem.form, start.problem.pace
     curve = {"test": {"kind": form, "detail": ""}, "form": form, "parameters": names, "pace": slowest, "fixed": fixed}

@@ -11,7 +11,7 @@ import importlib.util
 import inspect
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -267,6 +267,38 @@ def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
     if system_kind(model.system).reread:
         return build_model(system)
     return altered(model, parameter_values=numbers, system=system, hybrid=at_numbers(model.hybrid, numbers))
+
+
+def check_reachable(model: Model, name: str, goals: Mapping[str, Sequence[float]]) -> None:
+    """`InputError` for values of what is followed, by argument, that the system cannot have: a period that is not
+    positive, a forcing without one, a parameter that its description refuses.
+
+    Loops that stay open there are left to the family, which ends where they do; a system that is not rebuilt says no
+    more than its forcing.
+    """
+    for argument, numbers in goals.items():
+        for number in {min(numbers), max(numbers)} if len(numbers) else ():
+            if not np.isfinite(number):
+                raise InputError(f"{argument}: must be a finite value of {name}, got {number}")
+            if name == "period" and number <= 0:
+                raise InputError(f"{argument}: period: must be positive, got {number:g}; check the sign and the unit")
+            try:
+                model.check_clock(name, [number])
+                if name in model.parameter_names:
+                    build_model(system_at(model.system, {name: number}))
+            except InputError as error:
+                if error.field in ("joints", "linkage") or (error.field != name and not _rebuilt(model)):
+                    continue
+                raise InputError(f"{argument}: {name} cannot become {number:g}: {error}") from error
+
+
+def _rebuilt(model: Model) -> bool:
+    """Whether the description of a model makes one."""
+    try:
+        build_model(model.system)
+    except InputError:
+        return False
+    return True
 
 
 NAMES = {"henon_heiles": "Hénon-Heiles", "van_der_pol": "Van der Pol", "duffing": "Duffing",

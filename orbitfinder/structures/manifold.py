@@ -199,11 +199,11 @@ def free_file(folder: Path, connection: Connection) -> Path:
     return next(file for file in files if not file.exists() or _same(load_connection(file), connection))
 
 
-def _same(one: Connection, other: Connection) -> bool:
+def _same(first: Connection, second: Connection) -> bool:
     """Whether both are a single motion, looked at in the same way."""
-    looked = [(plain(each.system), each.plane, each.axes) for each in (one, other)]
-    near = 1e-9 * one.origin.extents  # however it was computed
-    return looked[0] == looked[1] and bool((np.abs(one.state - other.state) <= near).all())
+    looked = [(plain(each.system), each.plane, each.axes) for each in (first, second)]
+    near = 1e-9 * first.origin.extents  # however it was computed
+    return looked[0] == looked[1] and bool((np.abs(first.state - second.state) <= near).all())
 
 
 def load_connection(path: str | Path) -> Connection:
