@@ -15,6 +15,9 @@ from scipy.special import ellipk
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.families.branches import left_at
+from orbitfinder.families.curves import curves_through
+from orbitfinder.families.happening import facts
 from orbitfinder.families.members import extents
 from orbitfinder.families.verified import verified
 from orbitfinder.integrate.residual import Residual
@@ -548,6 +551,27 @@ def test_a_mode_of_many_coordinates_loses_its_stability_where_it_must(monkeypatc
     monkeypatch.setattr(implicit, "FREE", 4)
     assert "stability" in of.certify(first).failures
     assert "stability" not in of.certify(last).failures
+
+
+def test_nothing_is_suggested_that_a_large_family_cannot_do(tmp_path, capfd):
+    """`show`, `continue` and pages offered --switch and --curve at its events, which both refuse it."""
+    words = ("continue", "problems/structures/row-41.toml", "--parameter", "q1", "--until", "0.35", "--no-figures")
+    done = CliRunner().invoke(cli, [*words, "-o", str(tmp_path)])
+    file = tmp_path / "row-41" / "family.json"
+    shown = done.output + capfd.readouterr().err
+    assert done.exit_code == 0 and "branch point at q1" in shown and "--switch" not in shown
+    said = CliRunner().invoke(cli, ["show", str(file)]).output
+    assert "--switch" not in said and "what leads on from it is not known by balance of many coordinates" in said
+    family = of.load_family(file)
+    assert family.events[0].kind == "branch_point" and not left_at(family) and not curves_through(family)
+    with pytest.raises(InputError, match="balance of many coordinates knows no branches and curves"):
+        of.switch_branch(family, 0)
+    fold = replace(family, events=(replace(family.events[0], kind="fold"),))
+    assert not facts(fold)["events"][0].follow
+    with pytest.raises(InputError, match="event: no curve leads|knows no branches and curves"):
+        of.follow_curve(fold, 0, ("cubic", "energy"))
+    done = CliRunner().invoke(cli, ["continue", str(file)])
+    assert done.exit_code == 2 and "give the event to leave row-41 at: none" in done.stderr
 
 
 @pytest.mark.slow

@@ -96,7 +96,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
     more: dict[str, Any] = {"beside": chosen["beside"] or ""}
     more |= {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
     with display(f"{file}: reading") as shown:
-        from orbitfinder.families.entries import SWITCHABLE
+        from orbitfinder.families.branches import left_at
         from orbitfinder.families.equilibria import RestBranch
         from orbitfinder.families.folder import parameter_of
 
@@ -121,7 +121,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
             )  # fmt: skip
             if not steps and len(family.points) > 1:
                 shown.say(READ.format(folder=out / name))
-            places = [k for k, event in enumerate(family.events) if event.kind in SWITCHABLE]
+            places = left_at(family)
             _listed(family, places, shown)
     if family is None:
         _optima(origin, parameter, at, points, out, chosen)
@@ -139,7 +139,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
         text(f"  {where}, period {lasts}, {point.stability}, symmetry {point.symmetry}")
     if written:
         text(f"  and {plural(len(written), 'figure')}")
-    if places and family.curve.get("test") is None:
+    if places:
         next_step("continue", folder / "family.json", "--switch", places[0])
     else:
         next_step("page", folder, "-o site")
@@ -177,11 +177,10 @@ def _asked_where(file: Path, chosen: Mapping[str, Any], shown: Display) -> None:
     """`InputError` for a family without --switch, the events that it takes listed before."""
     if any(chosen[name] is not None for name in ("event", "curve", "parameters")) or not whole_family(file):
         return
-    from orbitfinder.families.branches import counted
-    from orbitfinder.families.entries import SWITCHABLE
+    from orbitfinder.families.branches import counted, left_at
 
     family = of.load_family(file)
-    places = [k for k, event in enumerate(family.events) if event.kind in SWITCHABLE]
+    places = left_at(family)
     _listed(family, places, shown, len(places))
     raise InputError(f"--switch: missing; give the event to leave {family.name} at: {counted(places) or 'none'}")
 

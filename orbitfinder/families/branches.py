@@ -32,6 +32,7 @@ from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import (
     Start,
     begin,
+    by_series,
     corrected,
     curve_at,
     curve_of,
@@ -496,6 +497,14 @@ def branches(
         Branch(start, family.name, chosen, event, k, f"{family.name}-{event}-{k}", family.source.get("title", ""))
         for k, start in enumerate(starts, 1)
     ]
+
+
+def left_at(family: Family) -> list[int]:
+    """The numbers of the events at which others leave that `switch_branch` knows: none of a family in series alone, nor
+    of a curve in two parameters."""
+    if "test" in family.curve or by_series(family.curve):
+        return []
+    return [k for k, event in enumerate(family.events) if event.kind in SWITCHABLE]
 
 
 def opened(family: Family | str | Path, event: int | Event) -> tuple[Family, int, str]:

@@ -22,7 +22,7 @@ from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, Equilibrium
 from orbitfinder.families.folder import Progress, follow_family, parameter_of
 from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of
 from orbitfinder.families.rest_curves import follow_rest_curve
-from orbitfinder.families.start import corrected, curve_of, released
+from orbitfinder.families.start import by_series, corrected, curve_of, released
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import TESTED, Curve, at_place, scaled
@@ -142,17 +142,33 @@ def curve_start(
     return Branch(start, family.name, chosen, number, 0, name, title)
 
 
+def curves_through(family: Family) -> list[int]:
+    """The numbers of the events that curves in two parameters lead through, none of a family in series alone."""
+    if "test" in family.curve or by_series(family.curve):
+        return []
+    return [k for k, event in enumerate(family.events) if _followed(event) and not _no_bifurcation(family, event)]
+
+
+def _followed(event: Event) -> bool:
+    return event.kind in FOLLOWED and not event.detail.startswith("at ")
+
+
+def _no_bifurcation(family: Family, event: Event) -> bool:
+    """Whether no multiplier is at +1 where something is extremal: a period, or anything where that is held."""
+    return KINDS[event.kind].extremal and (event.detail == "period" or family.curve.get("period") is not None)
+
+
 def _event(family: Family, event: int, where: str) -> Event:
     """The event of a number, or that one. `InputError` lists those that can be followed."""
     if "test" in family.curve:
         raise InputError(f"{where}: is a curve in two parameters itself; give the family that it was started from")
-    known = [k for k, e in enumerate(family.events) if e.kind in FOLLOWED and not e.detail.startswith("at ")]
+    known = curves_through(family)
     listed = "; ".join(described(family, k) for k in known)
     choice = f"choose one of {listed}" if listed else "this family has none that a curve leads through"
     if not 0 <= event < len(family.events):
         raise InputError(f"event: {where} has no event {event}; {choice}")
     chosen = family.events[event]
-    if event not in known:
+    if not _followed(chosen):
         raise InputError(f"event: no curve leads through event {event} ({chosen.kind}); {choice}")
     return with_nodes(chosen, where, "follow its event")
 
@@ -180,7 +196,7 @@ def both_parameters(model: Model, names: Sequence[str], own: tuple[str, ...] = (
 def _hold(base: Curve, family: Family, event: Event, names: tuple[str, str]) -> tuple[str, ...]:
     """What keeps its value along a conservative system's curve. `InputError` for folds that are no bifurcations."""
     held_period = family.curve.get("period") is not None
-    if KINDS[event.kind].extremal and (event.detail == "period" or held_period):
+    if _no_bifurcation(family, event):
         raise InputError(
             f"event: at a fold of the {event.detail}{' at a fixed period' if held_period else ''} no multiplier is at "
             "+1, it is no bifurcation; choose a fold of the energy, or continue the family with the energy held"

@@ -8,10 +8,12 @@ from typing import Any
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import OrbitfinderError
-from orbitfinder.families.branches import LEAVING
+from orbitfinder.families.branches import LEAVING, left_at
+from orbitfinder.families.curves import curves_through
 from orbitfinder.families.entries import kind_of
 from orbitfinder.families.equilibrium import Equilibria, RestEvent
 from orbitfinder.families.rest_curves import FORMS
+from orbitfinder.families.start import by_series
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.kind import BUILT_IN, build_model
 from orbitfinder.mechanics.scales import lasting
@@ -60,12 +62,13 @@ def sentence(family: Family, k: int) -> str:
 
 def _of_orbits(family: Family, k: int) -> Happening:
     event, kind, told = family.events[k], kind_of(family.events[k].kind), [sentence(family, k)]
-    ways, known = list[str](), "test" not in family.curve
-    if known and event.shooting_nodes.size:
-        ways += [f"--switch {k}"] if kind.branches else []
-        lasting = kind.followed and not kind.crosses and not event.detail.startswith("at ")
-        ways += _curve(family, k) if lasting else []
-    elif known and (kind.branches or kind.followed):
+    ways, leads = list[str](), "test" not in family.curve and (kind.branches or kind.followed)
+    if leads and by_series(family.curve):
+        told.append(f"what leads on from it is not known by {family.curve['method']} of many coordinates")
+    elif leads and event.shooting_nodes.size:
+        ways += [f"--switch {k}"] if k in left_at(family) else []
+        ways += _curve(family, k) if k in curves_through(family) and not kind.crosses else []
+    elif leads:
         told.append("family.npz is not beside it: continue the family again to follow it")
     return Happening(event, "; ".join(filter(None, told)), _trusted(family.system, ways))
 
@@ -81,10 +84,12 @@ def _curve(record: Family | Equilibria, k: int) -> list[str]:
     """The option that follows an event in two parameters, if the system has a second."""
     own, given = record.parameter, record.system.get("arguments", {})
     try:
-        names = build_model(record.system).parameter_names
+        model = build_model(record.system)
+        names = [*model.parameter_names, *(("energy", "period") if model.conservative else ())]
     except OrbitfinderError:
-        names = tuple(name for name, value in given.items() if isinstance(value, (int, float)))
-    return next(([f"--curve {k} --parameters {own},{name}"] for name in names if name not in record.parameters), [])
+        names = [name for name, value in given.items() if isinstance(value, (int, float))]
+    others = [name for name in names if name not in (*record.parameters, "energy", "period")]
+    return [f"--curve {k} --parameters {own},{others[0]}"] if own in names and others else []
 
 
 def _trusted(system: Mapping[str, Any], ways: list[str]) -> tuple[str, ...]:

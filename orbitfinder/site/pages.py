@@ -11,7 +11,8 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import plural
-from orbitfinder.families.entries import SWITCHABLE, kind_of
+from orbitfinder.families.branches import left_at
+from orbitfinder.families.entries import kind_of
 from orbitfinder.families.happening import sentence
 from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
@@ -248,12 +249,12 @@ def before(family: Family, event: Event) -> FamilyPoint:
 
 def family_items(family: Family, simulator: Simulator, reach: Sequence[float]) -> list[dict[str, Any]]:
     """What can be picked, in order along the family; `reach` are the amplitudes of its members, where known."""
-    items, file = [], f"families/{family.name}/family.json"
+    items, file, ways = [], f"families/{family.name}/family.json", left_at(family)
     for at in pickable(family):
         member, k = family.members[at], at - len(family.points)
         item = _item(member, family, simulator) | ({"amplitude": reach[at]} if reach else {})
         if isinstance(member, Event):
-            command = f"orbitfinder continue {file} --switch {k}" if member.kind in SWITCHABLE else ""
+            command = f"orbitfinder continue {file} --switch {k}" if k in ways else ""
             items.append(item | {"key": f"event={k}", "number": k, "command": command})
         else:
             items.append(item | {"key": f"point={at}", "command": f"orbitfinder verify {file}#{at}"})

@@ -18,7 +18,7 @@ import numpy as np
 from orbitfinder.atlas.report import summarise
 from orbitfinder.atlas.store import Atlas, AtlasRow
 from orbitfinder.errors import InputError, plural
-from orbitfinder.families.entries import SWITCHABLE
+from orbitfinder.families.branches import left_at
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.kind import build_model, loops_of, system_kind
@@ -343,11 +343,8 @@ def _label(item: Item) -> str:
 
 def leaving(family: Family) -> dict[int, str]:
     """The events of a family that branches leave at, in words."""
-    return {
-        k: f"{k}: {event.words} at {event.parameter:.6g} {unit_along(family.parameter, family.system)}"
-        for k, event in enumerate(family.events)
-        if event.kind in SWITCHABLE
-    }
+    events, unit = family.events, unit_along(family.parameter, family.system)
+    return {k: f"{k}: {events[k].words} at {events[k].parameter:.6g} {unit}" for k in left_at(family)}
 
 
 def parameters(model: Model) -> Mapping[str, tuple[float, float, float]]:
