@@ -1,6 +1,8 @@
 """Maps of a parameter plane against monodromies that another program integrates, and curves of bifurcations."""
 
+import html
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +16,13 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.mapping import verified
 from orbitfinder.families.plane import BLANK, DIVERGED, RESTING, STOPPED
+from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.journal import begin_journal, unpacked
 from orbitfinder.records.registry import load
 from orbitfinder.show.maps import regions, save_map_figure
+from orbitfinder.site.build import build_site
+from orbitfinder.site.gather import gather
+from orbitfinder.site.maps import map_values
 
 ROOT = Path(__file__).parents[1]
 PLANE = {"a": np.linspace(0.1, 0.45, 15), "b": np.linspace(0.0, 0.35, 20)}
@@ -192,6 +198,34 @@ def test_pictures_name_their_axes_and_colours(plane, tmp_path, by, monkeypatch):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("a", "b") and len(bars) == (by != "stability")
     words = {text.get_text() for text in kept["map"].legends[0].get_texts()}
     assert {"no orbit", "stability changes"} <= words and ("stable" in words) == (by == "stability")
+
+
+@pytest.mark.parametrize("by", ["stability", "amplitude"])
+def test_a_site_shows_a_map(plane, tmp_path, by):
+    """Its picture and every pixel's verdict, in the same bytes each time; a page was refused."""
+    named = replace(plane, name="plane <b>", by=by, title="Mathieu & friends")
+    of.save_map(named, tmp_path / "map.json")
+    site, summary = build_site(gather([tmp_path]))
+    assert (summary.maps, summary.orbits) == (1, 0) and site.files == build_site(gather([tmp_path]))[0].files
+    page, index = (site.files[path].decode() for path in ("maps/plane-b.html", "index.html"))
+    assert site.files["maps/plane-b.png"].startswith(b"\x89PNG") and 'src="../maps/plane-b.png"' in page
+    assert "Mathieu &amp; friends: map plane &lt;b&gt;" in page and "<b>" not in page
+    assert 'href="maps/plane-b.html"' in index and "Maps, families and atlases" in index
+    verdicts = dict(re.findall(r'<tr><th scope="row">([^<]+)</th><td>(\d+)</td>', page))
+    words = np.where(plane.known, np.array(STABILITIES)[plane.verdicts], np.array(BLANK)[plane.blank])
+    assert verdicts == {html.escape(word): str((words == word).sum()) for word in np.unique(words)}
+    rows = re.findall(r"<tr><td>([^<]+)</td><td>([^<]+)</td><td>([^<]+)</td>", page)
+    assert len(rows) == 300 and "300 pixels</summary>" in page
+    for across, up, word in rows[::7]:
+        row, column = np.abs(plane.rows - float(up)).argmin(), np.abs(plane.columns - float(across)).argmin()
+        assert word == html.escape(words[row, column])
+
+
+def test_of_many_pixels_a_page_has_some_and_counts_all(plane):
+    values = map_values(plane, most=50)
+    assert len(values["pixels"]) == 50 and not values["all_pixels"]
+    assert sum(count for _, count, _, _ in values["verdicts"]) == 300
+    assert [sum(numbers) for numbers in list(zip(*values["verdicts"], strict=True))[2:]] == [4, 4]
 
 
 def test_the_command(tmp_path):

@@ -144,12 +144,12 @@ SPEAK_EVERY = 2.0
 def page(
     paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verify: bool, trust: bool, **options: Any
 ) -> None:
-    """Make a static site from any mixture of orbits, families, equilibria and atlases.
+    """Make a static site from any mixture of orbits, families, equilibria, maps and atlases.
 
-    PATH is an orbit.json, a family.json, an equilibria.json, an atlas (database or JSON export), an optima.json, a
-    section.json and what lies in it (manifolds, connections, tori), or a folder that holds such files; FILE#K is one
-    point of a family (from 0) or orbit of an atlas. --stability, --symmetry, --energy and --period choose orbits of
-    atlas databases. The site opens from disk: no network, no server.
+    PATH is an orbit.json, a family.json, an equilibria.json, a map.json, an atlas (database or JSON export), an
+    optima.json, a section.json and what lies in it (manifolds, connections, tori), or a folder that holds such files;
+    FILE#K is one point of a family (from 0) or orbit of an atlas. --stability, --symmetry, --energy and --period choose
+    orbits of atlas databases. The site opens from disk: no network, no server.
 
     \b
     Examples:
@@ -178,6 +178,7 @@ def page(
         "atlas": summary.atlases,
         "section": summary.sections,
         "equilibrium curve": summary.equilibria,
+        "map": summary.maps,
     }
     parts = [plural(count, name) for name, count in counts.items() if count]
     text(f"{out / 'index.html'}: {', '.join(parts)}, {size(summary.size)}")

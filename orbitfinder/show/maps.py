@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -28,7 +29,12 @@ REAL, LEAST = 1e-6, 1e-12
 
 
 def save_map_figure(plane: ParameterMap, folder: str | Path, model: Model) -> list[Path]:
-    """Write `map.png`: the plane with its colour bar or legend, and lines where stability changes; returns the path."""
+    """Write `map.png` (see `map_figure`); returns the path."""
+    return save_all({"map": map_figure(plane, model)}, folder)
+
+
+def map_figure(plane: ParameterMap, model: Model | None) -> Figure:
+    """The plane with its colour bar or legend, and lines where stability changes; names are plain without a model."""
     counts = f"{plane.known.sum()} orbits of {plane.blank.size} pixels, "
     counts += f"{int(plane.sample[:, 2].sum())} of {len(plane.sample)} sampled certified"
     figure = new_figure(7.6, 6.0, plane.title or plane.name, counts)
@@ -49,7 +55,7 @@ def save_map_figure(plane: ParameterMap, folder: str | Path, model: Model) -> li
     axes.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]], xlabel=_named(plane, 0), ylabel=_named(plane, 1))
     axes.locator_params(nbins=6)
     legend(figure, shown, "lower center", ncols=2)
-    return save_all({"map": figure}, folder)
+    return figure
 
 
 def regions(plane: ParameterMap) -> np.ndarray:
@@ -72,11 +78,11 @@ def _boundary(axes: Any, plane: ParameterMap, shown: dict[str, Any]) -> None:
     shown["stability changes"] = Line2D([], [], color="black", linewidth=1.0)
 
 
-def _numbers(plane: ParameterMap, model: Model) -> tuple[str, np.ndarray]:
+def _numbers(plane: ParameterMap, model: Model | None) -> tuple[str, np.ndarray]:
     """What is coloured, in words with its unit, and the numbers (R x C)."""
     values, time = plane.values(plane.by), units(plane.system)["time"]
     if plane.by == "amplitude":
-        return f"amplitude of {axis(model, plane.moving)}", values
+        return f"amplitude of {axis(model, plane.moving) if model else plane.coordinates[plane.moving]}", values
     if plane.by == "period":
         return f"period ({time})" if time else "period", values
     return "$\\log_{10}$ of the largest multiplier's modulus", np.log10(np.maximum(values, LEAST))

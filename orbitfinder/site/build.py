@@ -17,6 +17,7 @@ from orbitfinder._runtime.caches import Kept
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import plural
 from orbitfinder.families.equilibrium import Equilibria
+from orbitfinder.families.plane import ParameterMap
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import level
@@ -27,6 +28,7 @@ from orbitfinder.show.scene import evenly
 from orbitfinder.site.equilibria import cycles_data, equilibria_data
 from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, judged, recorded
 from orbitfinder.site.landscape import landscape
+from orbitfinder.site.maps import map_picture, map_values
 from orbitfinder.site.motion import Simulator, framed, packed
 from orbitfinder.site.pages import (
     SiteOrbit,
@@ -84,6 +86,7 @@ class SiteSummary:
     atlases: int
     sections: int
     equilibria: int
+    maps: int
     size: int
 
 
@@ -130,6 +133,12 @@ class Site:
             if asset.is_file():
                 self.files[f"assets/{asset.name}"] = asset.read_bytes()
 
+    def add_still(self, kind: str, path: str, values: Mapping[str, Any], picture: bytes, about: str) -> None:
+        """One page by the template of a kind on which nothing moves, with its picture; `values` has the title."""
+        still = re.sub(r"\.html$", ".png", path)
+        self.files[still] = picture
+        self._page(kind, path, {**values, "picture": still}, [], about, (still,))
+
     def add(self, kind: str, path: str, values: Mapping[str, Any], data: tuple[str, Any], about: str) -> None:
         """One page by the template of a kind, with its data file; `values` has the title."""
         key, payload = data
@@ -138,12 +147,18 @@ class Site:
         text = script_data(key, payload)
         text += "".join(script_data(name, solids) for name, solids in self.solids.items() if f'"{name}"' in text)
         self.files[data_file] = text.encode("ascii")
-        loads = ["assets/core.js", data_file, *(f"assets/{name}" for name in SCRIPTS[kind])]
+        scripts = [f"assets/{name}" for name in ("core.js", *SCRIPTS[kind])]
+        self._page(kind, path, values, [scripts[0], data_file, *scripts[1:]], about)
+
+    def _page(
+        self, kind: str, path: str, values: Mapping[str, Any], loads: Sequence[str], about: str,
+        shown: Sequence[str] = (),
+    ) -> None:  # fmt: skip
         whole = rendered(
             kind, **values, path=path, site=self.settings.title, about=about, root="../" * path.count("/"),
             loads=loads, version=__version__, weight=WEIGHT,
         )  # fmt: skip
-        self.pages.append(HtmlFile(path, whole, ("assets/page.css", "assets/theme.js", *loads)))
+        self.pages.append(HtmlFile(path, whole, ("assets/page.css", "assets/theme.js", *loads, *shown)))
 
     def finish(self) -> int:
         """Turn the pages into files, each with what it and the whole site weigh; returns the latter in bytes."""
@@ -194,12 +209,14 @@ def build_site(
     judge = partial(judged, model_of=gathered.model)
     if not settings.verify:
         judge = partial(recorded, why="it was not asked for")
+    planes = slug_maker()
+    links += [_add_map(site, plane, planes(plane.name), gathered) for plane in gathered.maps]
     entries = _judged([_complete(entry, simulator, links) for entry in entries], judge, tell)
     for k, entry in enumerate(entries):
         _add_orbit(site, entry, entries[k - 1 : k] + entries[k + 1 : k + 2], k > 0)
     _add_gallery(site, entries, links, motions)
-    counts = [len(records) for records in (gathered.families, gathered.atlases, gathered.sections)]
-    return site, SiteSummary(len(entries), counts[0], counts[1], counts[2], len(resting), site.finish())
+    counts = [len(records) for records in (gathered.families, gathered.atlases, gathered.sections, gathered.maps)]
+    return site, SiteSummary(len(entries), counts[0], counts[1], counts[2], len(resting), counts[3], site.finish())
 
 
 def _judged(entries: Sequence[SiteOrbit], judge: Callable[..., Verdict], tell: Progress) -> list[SiteOrbit]:
@@ -346,6 +363,17 @@ def _add_section(site: Site, section: Section, slug: str, gathered: Gathered, mo
     values = section_values(section, data) | {"title": _headed("section", section)}
     site.add("section", path, values, ("section", data), f"A Poincare section of the {words}: {section.plane}.")
     return Card("Section", path, section.name, words, section.plane, _cover(f"section/{slug}", data, motions))
+
+
+def _add_map(site: Site, plane: ParameterMap, slug: str, gathered: Gathered) -> Card:
+    """The page of a map; returns its link."""
+    path, words = f"maps/{slug}.html", mechanism(plane.system)
+    values = map_values(plane) | {"title": _headed("map", plane), "words": words}
+    picture = map_picture(plane, gathered)
+    site.add_still("map", path, values, picture, f"A map of a parameter plane of {article(words)}.")
+    note = f"{plane.by} over {' and '.join(plane.parameters)}, {plural(plane.blank.size, 'pixel')}"
+    return Card("Map", path, plane.name, words, note, "", same(plane.system),
+                picture=f'<img src="maps/{slug}.png" alt="">')  # fmt: skip
 
 
 def _cover(key: str, data: Mapping[str, Any], motions: dict[str, Any]) -> str:

@@ -15,6 +15,7 @@ from orbitfinder.atlas.store import Atlas, Filter
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria
 from orbitfinder.families.members import whole
+from orbitfinder.families.plane import ParameterMap
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certify
@@ -80,6 +81,7 @@ class Gathered:
     atlases: list[AtlasFile] = field(default_factory=list)
     sections: list[Section] = field(default_factory=list)
     equilibria: list[Equilibria] = field(default_factory=list)
+    maps: list[ParameterMap] = field(default_factory=list)
     laid: list[Laid] = field(default_factory=list)
     """what is drawn in sections of its system"""
     trusted: list[Path] = field(default_factory=list)
@@ -92,11 +94,11 @@ class Gathered:
 
 
 def gather(paths: Sequence[Path], chosen: Filter | None = None, trust: bool = False) -> Gathered:
-    """Read orbits, families, equilibria, atlas exports and atlas databases, FILE#K for one orbit, or folders of files.
+    """Read orbits, families, equilibria, maps, atlas exports and databases, FILE#K for one orbit, or folders of files.
 
-    Of a folder all orbits, families, equilibria and *.sqlite below it are taken, in alphabetical order; what `run`
-    wrote as rejected.json is left out. Of atlas databases only the orbits that pass `chosen` are taken. With `trust`
-    Python modules that systems were made with are imported from beside their files.
+    Of a folder all orbits, families, equilibria, maps and *.sqlite below it are taken, in alphabetical order; what
+    `run` wrote as rejected.json is left out. Of atlas databases only the orbits that pass `chosen` are taken. With
+    `trust` Python modules that systems were made with are imported from beside their files.
     Raises `InputError`.
     """
     gathered, seen = Gathered(), set()
@@ -143,7 +145,7 @@ def _holds_results(file: Path) -> bool:
     if file.name in ("orbit.json", "family.json", "section.json") or file.suffix in DATABASES:
         return True
     single = file.suffix == ".json" and not file.name.startswith("rejected")
-    return single and kind_of(file) in ("orbit", "family", EQUILIBRIA)
+    return single and kind_of(file) in ("orbit", "family", EQUILIBRIA, "map")
 
 
 def add_orbit(gathered: Gathered, file: Path, _: Filter) -> None:

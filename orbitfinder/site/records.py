@@ -1,4 +1,4 @@
-"""The answers of this room about orbits, families and equilibria, for the registry of records."""
+"""The answers of this room about orbits, families, equilibria and maps, for the registry of records."""
 
 from orbitfinder.families.records import EQUILIBRIA
 from orbitfinder.records.registry import answers
@@ -6,3 +6,4 @@ from orbitfinder.records.registry import answers
 answers("orbit", page="site.gather:add_orbit")
 answers("family", page="families")
 answers(EQUILIBRIA, page="equilibria")
+answers("map", page="maps")
