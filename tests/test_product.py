@@ -194,6 +194,19 @@ def test_a_verb_answers_or_says_what_the_record_is_for(kind, records):
             assert all(verb in str(caught.value).rpartition("for")[2] for verb in answered)
 
 
+def test_show_says_what_a_system_that_no_file_describes_is_for():
+    """It named verify, plot, animate, export and studio, which all refuse such an orbit; a page is made of it."""
+    file = GALLERY / "published-freire.json"
+    last = CliRunner().invoke(cli, ["show", str(file)]).output.strip().splitlines()[-1].strip()
+    assert last.startswith("for show, page; verify, plot, animate, export, studio need its Model")
+    for verb in ("verify", "plot"):
+        done = CliRunner().invoke(cli, [verb, str(file)])
+        assert done.exit_code == 2 and "system.kind: cannot rebuild 'custom'" in done.output
+    assert build_site(gather.gather([file]), SiteSettings(verify=False))[1].orbits == 1
+    whole = CliRunner().invoke(cli, ["show", str(SHIPPED["orbit"])]).output.strip().splitlines()[-1].strip()
+    assert whole == "for show, verify, plot, animate, export, page, studio"
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_page_and_the_studio_have_something_to_show_or_say_what_they_take(kind, records):
     if kind in PAGES:

@@ -36,8 +36,19 @@ def show(files: tuple[Path, ...]) -> None:
         text(f"{file}: {kinds()[kind].words}")
         for line in _lines(facts):
             text(line)
-        text(f"  for {', '.join(answers_of(held(file)[1]))}")
+        text(f"  for {_verbs(answers_of(held(file)[1]), facts.get('system'))}")
     finish("show", {"results": results})
+
+
+def _verbs(answered: list[str], system: Any) -> str:
+    """The verbs that a record answers; of a system that no file describes most ask for its Model."""
+    from orbitfinder.mechanics.kind import system_kind
+
+    if not isinstance(system, Mapping) or system_kind(system).rebuilt:
+        return ", ".join(answered)
+    alone = [verb for verb in answered if verb in ("show", "page")]
+    others = [verb for verb in answered if verb not in alone]
+    return f"{', '.join(alone)}; {', '.join(others)} need its Model, which no file describes: in Python give model="
 
 
 def _followed(file: Path, facts: dict[str, Any]) -> None:

@@ -51,6 +51,8 @@ class SystemKind:
     """the kind of mechanism in two or three words, for captions"""
     described: bool = True
     """whether the description is all that it is made of"""
+    rebuilt: bool = True
+    """whether a description makes a Model, given the modules that it names"""
     takes: Callable[..., Model] | None = None
     """the function whose arguments are the keys of a file's table"""
     reread: bool = False
@@ -315,5 +317,5 @@ KINDS = Registry(SystemKind, {"python": SystemKind(python_model, _function, desc
 """Every kind by its name; others may join (`kinds` has them all)"""
 CLOSING: dict[str, Loops] = {}
 """How loops are closed of what has no entry of its own: that of ''"""
-OTHER = SystemKind(_unknown, described=False)
+OTHER = SystemKind(_unknown, described=False, rebuilt=False)
 """Models that no file describes"""
