@@ -209,6 +209,10 @@ def test_a_doubling_that_comes_back_to_its_parent():
     assert doubled.record.ends[0].kind == "merged" and len(tree.curves) == 3
     ends = [(one.became, one.leads) for one in tree.branchings if one.file == "equilibria-0/family.json"]
     assert ends == [("followed", (doubled.file,)), ("joined", (doubled.file,))]
+    folds = [(event.parameter, event.error) for event in doubled.record.events if event.kind == "fold"]
+    known = (7.906804139188585, 7.855722807406184)  # by steps of a sixth of the length
+    for (value, error), other in zip(folds, known, strict=True):
+        assert abs(value - other) < error < 1e-10  # the second was said to be known to 4e-7
 
 
 @pytest.mark.slow

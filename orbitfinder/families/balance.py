@@ -9,7 +9,7 @@ closure is by implicit steps, and folds and changes of stability are located in 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from operator import attrgetter
@@ -26,6 +26,7 @@ from orbitfinder.continuation.follow import (
     KeptPoint,
     Pace,
     SolutionCurve,
+    advanced,
     follow,
     rise,
     towards,
@@ -57,7 +58,7 @@ from orbitfinder.orbits.closure import LARGEST_SCALE
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.floquet import outside
 from orbitfinder.orbits.harmonics import Balanced
-from orbitfinder.orbits.hill import Exponents, exponents, monodromy, proved
+from orbitfinder.orbits.hill import Exponents, exponents, finer_indices, monodromy, proved
 from orbitfinder.orbits.implicit import SMALL, ImplicitCheck, gathered
 from orbitfinder.orbits.measure import action
 from orbitfinder.records.certificate import Check, at_most
@@ -82,9 +83,10 @@ from orbitfinder.records.orbit import system_at
 
 NODES, STEPS = 16, 256
 """States at equal times that shooting stands on, and its steps of a period at least"""
-ZERO, AGAIN, SAMPLED, ROUNDED, VANISHED, TURNED = 1e-6, 1e-5, 64, 1e-12, 1e-2, 1e-4
+ZERO, AGAIN, SAMPLED, ROUNDED, VANISHED, TURNED, ASIDE, ROUNDS = 1e-6, 1e-5, 64, 1e-12, 1e-2, 1e-4, 0.05, 10
 """An exponent that is 0 at an event is as near to it, what is verified of it again as this; states that units are taken
-from; relative error of a number; share of the first free motion that comes to rest, of a rise that is none"""
+from; relative error of a number; share of the first free motion that comes to rest, of a rise that is none; share of a
+step beside an event from which slopes are told; round-offs that a parameter is off by"""
 
 
 def followed(
@@ -317,9 +319,13 @@ class _Large:
             rises = [abs(rise(each, self.parameter)) for each in (point, before, after)]
             if not turns and rises[0] < TURNED * max(rises[1:]):  # at a fold, which is an event of its own
                 return None
-        error = balanced.known(point.w) if turns and not free_motion else step * (off + 0.01 * ZERO) / max(known, ZERO)
         if off > ZERO:
             return None
+        if free_motion:
+            edge = 2.0 * np.cos(2 * np.pi * critical.imag / about.root)
+            error = self._lost(point) if turns else self._known(point, before, after, edge)
+        else:
+            error = balanced.known(point.w) if turns else step * (off + 0.01 * ZERO) / max(known, ZERO)
         nodes = states_of(point, np.linspace(0.0, 1.0, nodes_of(point) + 1))[:-1]
         state, detail = nodes[0], self.parameter if turns else ""
         certain = bool(self.check and self._closes(point)[0])
@@ -330,6 +336,29 @@ class _Large:
             mesh=np.linspace(0.0, 1.0, len(nodes) + 1), certified=certain,
             check=Reading(float(off), ZERO, bool(off <= ZERO), parameter_error=float(error)),
         )  # fmt: skip
+
+    def _lost(self, point: Point) -> float:
+        """What the next orders and round-off make of the parameter of a motion."""
+        left = max(point.problem.left(point.w)[0], float(np.finfo(float).eps))
+        return float(ROUNDS * left * abs(point.value(self.parameter)))
+
+    def _known(self, point: Point, before: Point, after: Point, edge: float) -> float:
+        """What the parameter of an event of free motions is known to where an index is at an `edge`: what indices are
+        off by twice as many steps, and by round-off, over the slope beside it, and what is lost of a motion."""
+        balanced, value = point.problem, point.value(self.parameter)
+        meets = abs(abs(edge) - 2.0) > ZERO  # another: both are off by roots of what squares of their gap are
+        length, slope, order = after.arclength - before.arclength, 0.0, 1 + meets
+        share = (point.arclength - before.arclength) / length
+        for there in (max(share - ASIDE, 0.0), min(share + ASIDE, 1.0)):
+            with suppress(ConvergenceError, IntegrationError):
+                beside = advanced(before, there * length)
+                slope = max(slope, max(changing(beside), 0.0) ** order / abs(beside.value(self.parameter) - value))
+        again = finer_indices(balanced, point.w)
+        first, second = again[np.argsort(np.abs(again - edge))[:2]]
+        off = abs(first - second) / 2 if meets else abs(first - np.copysign(2.0, edge))
+        whole = exponents(balanced, point.w).whole
+        off = 2 * off**order + (whole.pair_defect if whole else 0.0) ** order
+        return float(self._lost(point) + off / slope) if slope else abs(after.value(self.parameter) - value)
 
     def certified(self, point: FamilyPoint) -> FamilyPoint:
         known, passed = self._first

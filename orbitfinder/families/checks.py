@@ -355,11 +355,18 @@ def _turned(sides: Sides, parameter: str) -> Reading:
     """
     level = _level(2.0 if sides.here.about.conservative else 1.0)
     passage = sides.zero(level, sharp=False)
-    if passage.passed and sides.turning(parameter).passed:
-        return passage
+    if passage.passed and (turn := sides.turning(parameter)).passed:
+        return _nearer(passage, turn)
     passage = sides.zero(level, within=DOUBTFUL)
     still = sides.farthest and not (sides.here.about.conservative or sides.crossed or sides.passes(parameter))
     return replace(passage, passed=passage.passed and (still or sides.bends(parameter)))
+
+
+def _nearer(first: Reading, second: Reading) -> Reading:
+    """The first of two readings of an event, with the nearer of their error bars: both bound where it is."""
+    names = ("parameter_error", "period_error")
+    bars = {name: [getattr(each, name) for each in (first, second)] for name in names}
+    return replace(first, **{name: min(pair) for name, pair in bars.items() if None not in pair})
 
 
 def fold_side(sides: Sides, event: Event) -> str:
