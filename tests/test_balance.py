@@ -629,3 +629,31 @@ def test_a_torus_of_a_large_family_is_where_all_multipliers_say():
         beside = masses(41, frequency, damping=0.0005)
         state = states_of(begun(beside, "frequency"), np.zeros(1))[0]
         assert gathered(beside.model, state, 2 * np.pi / frequency)[0].floquet.stability == told
+
+
+def test_what_a_series_is_too_rough_for_is_said_with_the_remedy(tmp_path):
+    """Friction below a tenth of the rates' size: rejected by its multipliers, or without an answer; by shooting it is
+    certified."""
+    problem = """[system]
+kind = "structure"
+mass = [[1.0, 0.0], [0.0, 1.0]]
+damping = [[0.1, -0.05], [-0.05, 0.1]]
+stiffness = [[2.0, -1.0], [-1.0, 2.0]]
+forcing = { at = "q1", amplitude = 0.3, frequency = 0.8 }
+[system.elements]
+rub = { kind = "friction", at = "q1", limit = 0.05, smoothing = SMOOTHING }
+[guess]
+linear = true
+"""
+    said = {}
+    for smoothing, method in ((0.01, "balance"), (0.001, "balance"), (0.01, "shooting")):
+        file = tmp_path / "rub.toml"
+        file.write_text(problem.replace("SMOOTHING", str(smoothing)))
+        done = CliRunner().invoke(cli, ["run", str(file), "--method", method, "--no-figures", "-o", str(tmp_path)])
+        said[smoothing, method] = done.exit_code, done.output
+    assert said[0.01, "shooting"][0] == 0
+    code, words = said[0.01, "balance"]
+    assert code == 1 and "failed checks: floquet_multipliers; a series" in words
+    assert 'a series knows sharp corners badly: make smoothing larger, or take method = "shooting"' in words
+    code, words = said[0.001, "balance"]
+    assert code == 1 and 'make what has corners smoother, or take method = "shooting"' in words

@@ -74,6 +74,8 @@ class Outcome:
     """what the orbit is relative in, with the momenta held; or that it is a relative equilibrium"""
     units: dict[str, str] = field(default_factory=dict)
     """words for those of its numbers"""
+    remedy: str = ""
+    """what to try where it is rejected"""
 
     @property
     def passed(self) -> bool:
@@ -180,6 +182,7 @@ def _written(job: ProblemJob, orbit: Orbit, model: Model, began: float) -> Outco
     """Write the result under the name it deserves; figures only of certified orbits."""
     from orbitfinder.mechanics.kind import with_parameters
     from orbitfinder.mechanics.scales import units
+    from orbitfinder.orbits.method import named
     from orbitfinder.orbits.reduction import reduction
 
     certificate, folder = orbit.certificate, job.out / job.name
@@ -193,6 +196,7 @@ def _written(job: ProblemJob, orbit: Orbit, model: Model, began: float) -> Outco
 
             written += save_figures(orbit, folder, model)
     failures = certificate.failures if certificate else ("no certificate",)
+    remedy = "" if passed or not (by := orbit.provenance.get("method")) else named(by).remedy
     return Outcome(
         orbit.name, str(job.file), "certified" if passed else "rejected",
         f"certified{_among(orbit)}" if passed else f"not an orbit: {explained(certificate)}",
@@ -201,7 +205,7 @@ def _written(job: ProblemJob, orbit: Orbit, model: Model, began: float) -> Outco
         orbit.symmetry,
         dict(orbit.provenance.get("free", {})), failures,
         tuple(str(path) for path in written),
-        reduction(with_parameters(model, orbit.provenance.get("free", {})), orbit), units(orbit.system),
+        reduction(with_parameters(model, orbit.provenance.get("free", {})), orbit), units(orbit.system), remedy,
     )  # fmt: skip
 
 

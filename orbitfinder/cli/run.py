@@ -68,7 +68,7 @@ def _print_outcome(outcome: Outcome, width: int) -> None:
     if outcome.reduction:
         text(f"  {outcome.reduction}")
     if outcome.failures:
-        text(f"  failed checks: {', '.join(outcome.failures)}")
+        text(f"  failed checks: {', '.join(outcome.failures)}{'; ' * bool(outcome.remedy)}{outcome.remedy}")
     text(
         f"  {outcome.written[0]}" + (f" and {plural(len(outcome.written) - 1, 'figure')}" * (len(outcome.written) > 1))
     )

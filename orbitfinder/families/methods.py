@@ -5,5 +5,10 @@ from orbitfinder.orbits import balance
 from orbitfinder.orbits.method import METHODS, Method
 
 METHODS[balance.NAME] = Method(
-    lambda problem: False, balance.balanced, balance.refused, follow=followed, verify=reverified
+    lambda problem: False,
+    balance.balanced,
+    balance.refused,
+    follow=followed,
+    verify=reverified,
+    remedy='a series knows sharp corners badly: make smoothing larger, or take method = "shooting"',
 )

@@ -375,7 +375,8 @@ class Balanced:
         enough = left <= max(LEFT, NOISY * lost)
         if not enough and max(self.basis.orders) > HIGHEST:
             raise ConvergenceError(f"after {max(self.basis.orders)} harmonics the next is still {left:.2g} of the "
-                                   "motion; make what has corners smoother")  # fmt: skip
+                                   "motion; make what has corners smoother, or take method = "
+                                   '"shooting", for up to about a hundred coordinates that are not stiff')  # fmt: skip
         return enough
 
     def measured(self, w: Coefficients) -> Self:

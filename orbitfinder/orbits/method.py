@@ -41,6 +41,8 @@ class Method:
     """what follows a family that no march does (`families.balance.followed`)"""
     verify: Callable[[Family, Model], Iterable[tuple[str, Check]]] | None = None
     """(family, model) -> the checks of its events and ends, where it has no equations of shooting"""
+    remedy: str = ""
+    """what to try where a certificate rejects its orbit"""
 
 
 METHODS = Registry(Method)
