@@ -73,6 +73,13 @@ ELSEWHERE = {
     "hybrid": "Walking machines, against a script by hand and a second program: `python benchmarks/hybrid.py`",
 }
 
+PRINTED = {
+    "mechanisms": "What trees of bodies cost, to 240 of them: `python benchmarks/mechanisms.py`, half a minute",
+    "robots": "Modes of the compliant seven-joint arm: `python benchmarks/robots.py`, half a minute",
+    "variational": "Marches with variations, against an earlier checkout: `python benchmarks/variational.py`",
+}
+"""Scripts that print a table and write no page"""
+
 
 def run(part: Part) -> str:
     """Run one part; what to say of it."""
@@ -116,7 +123,8 @@ def assembled(said: dict[str, str], previous: list[str]) -> str:
     """The page over all parts."""
     lines = [
         "# Benchmarks", "",
-        "`python benchmarks/run.py`; every number here is written by the scripts in `benchmarks/`, one page each.", "",
+        "`python benchmarks/run.py`; every number here is written by the scripts in `benchmarks/`, one page each; some "
+        "print a table alone.", "",
         *previous, "",
         "| part | last run by this command | page |", "|---|---|---|",
     ]  # fmt: skip
@@ -126,6 +134,7 @@ def assembled(said: dict[str, str], previous: list[str]) -> str:
     for name, heading in ELSEWHERE.items():
         if (OUT / f"{name}.md").exists():
             lines.append(f"| {heading} | | [{name}.md]({name}.md) |")
+    lines += [f"| {heading} | | printed |" for heading in PRINTED.values()]
     for part in PARTS:
         if part.page.exists():
             lines += ["", f"## {part.heading}", "", *quoted(part.page)]

@@ -267,3 +267,16 @@ def test_auto_goes_over_both_folds(tmp_path):
     assert len(curve.points) == len(peer.program.table()) and curve.points[-1, 4] == pytest.approx(2.5, abs=1e-6)
     with pytest.raises(Unavailable, match="AUTO-07p: "):
         peer.program.run((20, 4), ICP=[1, 11], NDIM=-1)
+
+
+def test_every_script_is_named_where_somebody_looks():
+    """In the index of `run.py`, on a page of the documentation, or as the help of another script or a test."""
+    texts = {path: path.read_text(encoding="utf-8") for folder, kind in (("benchmarks", "*.py"), ("tests", "*.py"),
+             ("docs", "*.md"), ("results", "*.md")) for path in (ROOT / folder).rglob(kind)}  # fmt: skip
+    listed = {part.name for part in run.PARTS} | {*run.ELSEWHERE, *run.PRINTED}
+    for path in sorted((ROOT / "benchmarks").glob("*.py")):
+        name = path.stem
+        used = re.compile(rf"benchmarks(?:[./]| import ){name}\b|^\s*(?:from {name} import|import {name}\b)", re.M)
+        assert name in listed or any(used.search(text) for other, text in texts.items() if other != path), name
+    page = (ROOT / "results" / "benchmarks" / "README.md").read_text(encoding="utf-8")
+    assert all(f"| {heading} | | printed |" in page for heading in run.PRINTED.values())
