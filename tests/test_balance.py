@@ -657,3 +657,50 @@ linear = true
     assert 'a series knows sharp corners badly: make smoothing larger, or take method = "shooting"' in words
     code, words = said[0.001, "balance"]
     assert code == 1 and 'make what has corners smoother, or take method = "shooting"' in words
+
+
+@pytest.mark.parametrize("far", [False, True])
+def test_variations_that_do_not_meet_are_carried_together(far, monkeypatch):
+    """Of a slow mode of 100 masses, the fastest a hundred times as fast: a third of the columns, the same multipliers
+    and closure; where they reach farther than was thought more are carried."""
+    problem = row(100, 1, 0.01)
+    orbit = of.find_orbit(problem)
+    widths, varied = [], implicit.Implicit._varied
+    monkeypatch.setattr(
+        implicit.Implicit, "_varied", lambda own, *given: (widths.append(given[-1].shape[1]), varied(own, *given))[1]
+    )
+    if far:  # four steps' reach for eight steps
+        whole = implicit.Compressed
+        monkeypatch.setattr(implicit, "Compressed", lambda table, n, reach: whole(table, n, reach // 4))
+    local = gathered(problem.model, orbit.state, orbit.period)[0]
+    assert min(widths) < 70 and (max(widths) > 70) == far
+    widths.clear()
+    monkeypatch.setattr(implicit.Implicit, "_compressed", lambda own, reach: None)
+    alone = gathered(problem.model, orbit.state, orbit.period)[0]
+    assert set(widths) == {200}
+    for one, other in zip(local.tour.pieces, alone.tour.pieces, strict=True):
+        assert np.abs(one - other).max() <= 1e-12 * np.abs(other).max()
+    assert np.sort_complex(local.floquet.indices) == pytest.approx(np.sort_complex(alone.floquet.indices), abs=1e-10)
+    assert local.floquet.stability == alone.floquet.stability
+    assert local.tour.closes.gap == alone.tour.closes.gap
+
+
+def test_what_is_told_apart_too_narrowly_is_known_to_be_off():
+    """A column of all coordinates says by how much, as a comparison with all columns does."""
+    model = row(100, 1, 0.01).model
+    motion = implicit.Implicit(model, Residual(model, cycles=0), np.array([0.0, 1.0]))
+    state, units = np.zeros(200), np.ones(200)
+    state[:100] = 0.01 * np.sin(np.pi * np.arange(1, 101) / 101)
+
+    def after(columns):
+        now, a = state, motion._start(state)
+        for k in range(8):
+            now, columns, a = motion.both(k * 0.5, now, 0.5, a, units, columns)
+        return columns
+
+    whole = after(np.eye(200))
+    for reach, most in ((6, 1.0), (10, 1e-6), (16, 1e-14)):
+        local = implicit.Compressed(motion.table, 100, reach)
+        part, off = local.whole(after(local.begin(units)), units)
+        wrong = np.abs(part - whole).max()
+        assert wrong <= most and 0.05 * wrong <= off <= max(20 * wrong, 1e-14)

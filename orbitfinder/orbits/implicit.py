@@ -8,6 +8,9 @@ The iteration's matrix is of the equations by the energies (`integrate.residual`
 pair of eigenvalues of A; what it ends with, and so the motion, is of the accelerations alone. Variations solve all
 stages together; none is carried beside a motion where an energy falls. Source: E. Hairer, G. Wanner, Solving Ordinary
 Differential Equations II (1996), sections IV.5, IV.8.
+
+Where steps follow the fastest mode, variations of coordinates far apart do not come to meet in a few of them, and are
+carried together (`Compressed`).
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from typing import Any, cast
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import SuperLU, splu
 
 from orbitfinder._runtime import limit
@@ -46,8 +50,9 @@ RESOLVED, POWERS, FINEST, FREE, SMALL, ERROR = 1.5, 30, 512, 4096, 40, 1.74e-13
 """Radians of the fastest mode in a step of a driven motion, of others it is 1; iterations that find it, the most steps
 that follow it, of either; coordinates up to which motions are certified by explicit steps and all their variations; a
 step of z radians is off by this times z^13: 6!^2 / 12! 13!"""
-TOLD, HIGHEST = 1e-10, 48
-"""Share of the largest harmonic of a motion that is none; as many as an energy is asked of"""
+TOLD, HIGHEST, TOGETHER, TAILS = 1e-10, 48, 8, 1e-14
+"""Share of the largest harmonic of a motion that is none; as many as an energy is asked of; steps in which variations
+are carried together, and what they may be off by that are told apart again"""
 
 
 def truncated(turned: float, steps: int) -> float:
@@ -140,6 +145,46 @@ class Variations:
         return np.asarray(every[kinds, np.arange(len(seen))].reshape(-1, whole.shape[1]))
 
 
+class Compressed:
+    """Variations of single coordinates, those that do not come to meet carried as a single one, and told apart again.
+
+    In so many steps one comes so far along the structure, its `reach`, and beyond it is round-off: columns whose
+    coordinates are twice as far apart are added (A. Curtis, M. Powell, J. Reid, J. Inst. Maths Applics 13 (1974)
+    117-119). A column of all coordinates goes along and says what that is off.
+    """
+
+    def __init__(self, table: np.ndarray, n: int, reach: int) -> None:
+        i, j = table[:, 0], table[:, 1]
+        joined = sparse.csr_matrix((np.ones(2 * i.size), (np.append(i, j), np.append(j, i))), (n, n))
+        away = dijkstra(joined, unweighted=True, limit=2 * reach)
+        colours = np.full(n, -1)
+        for k in range(n):
+            taken = set(colours[np.isfinite(away[k])].tolist())
+            colours[k] = next(colour for colour in range(n) if colour not in taken)
+        count = int(colours.max()) + 1
+        where, of = np.nonzero(away <= reach)  # what a coordinate comes to
+        self.reach, self.n, self._where, self._of, self._by = reach, n, where, of, colours[of]
+        begin = np.zeros((n, count))
+        begin[np.arange(n), colours] = 1.0
+        self.told = np.random.default_rng(0).choice([-1.0, 1.0], 2 * n)
+        self._begin, self.count = begin, count
+
+    def begin(self, units: np.ndarray) -> np.ndarray:
+        """What is carried (2n x m), from unit vectors and one of the size of the motion."""
+        nothing = np.zeros_like(self._begin)
+        seeds = np.block([[self._begin, nothing], [nothing, self._begin]])
+        return np.column_stack([seeds, self.told * units])
+
+    def whole(self, carried: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, float]:
+        """What became of all unit vectors (2n x 2n), and what it is off by, in extents of what it moves."""
+        n, whole = self.n, np.zeros((2 * self.n, 2 * self.n))
+        for rows in (0, n):
+            for half, columns in ((0, 0), (self.count, n)):
+                whole[rows + self._where, columns + self._of] = carried[rows + self._where, half + self._by]
+        off = np.abs(whole @ (self.told * units) - carried[:, -1]) / (np.abs(whole) @ units)
+        return whole, float(off.max())
+
+
 class Implicit:
     """The motions of a mechanical Model, from a state for a period, by its equations (at `values` of what
     is free there)."""
@@ -207,27 +252,56 @@ class Implicit:
         every = sparse.block_diag([self.linear.matrix(slopes * weight) for weight in weights], format="csc")
         return self.linear.matrix(slopes * (self.table[:, 2] == 2)), splu(every)
 
-    def path(
-        self, state: np.ndarray, period: float, steps: int, units: np.ndarray, varied: np.ndarray | None = None
-    ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """States (steps + 1 x 2n) at equal times over a period, and what becomes of variations (2n x k) in each of its
-        pieces. Raises `IntegrationError`."""
-        n, h, now, pieces = self.residual.size, period / steps, np.asarray(state, float), list[np.ndarray]()
-        a = np.repeat(self.many(np.zeros(1), now[None])[:, n:], STAGES, axis=0)
-        whole, path = varied, [now]
+    def path(self, state: np.ndarray, period: float, steps: int, units: np.ndarray) -> np.ndarray:
+        """States (steps + 1 x 2n) at equal times over a period. Raises `IntegrationError`."""
+        now = np.asarray(state, float)
+        path, a = [now], self._start(now)
         for k in range(steps):
-            limit.check()
-            now, whole, a = self.both(k * h, now, h, a, units, whole)
-            if whole is not None and (k + 1) % (steps // PIECES) == 0:
-                pieces.append(whole)
-                whole = varied
+            now, _, a = self.both(k * period / steps, now, period / steps, a, units, None)
             path.append(now)
-        return np.array(path), pieces
+        return np.array(path)
+
+    def carried(
+        self, state: np.ndarray, period: float, steps: int, units: np.ndarray, resolved: bool
+    ) -> tuple[np.ndarray, list[np.ndarray], float]:
+        """States as of `path`, what becomes of all variations (2n x 2n) in each of its pieces, and what that is off by
+        beside the steps. Where these have `resolved` the fastest mode, variations of some of them are told apart."""
+        now, h, pieces, off = np.asarray(state, float), period / steps, list[np.ndarray](), 0.0
+        path, a, reach = [now], self._start(now), 2 * TOGETHER if resolved else self.residual.size
+        local = self._compressed(reach)
+        for begin in range(0, steps, steps // PIECES):
+            k, end, whole = begin, begin + steps // PIECES, np.eye(2 * self.residual.size)
+            while k < end:
+                count = min(TOGETHER, end - k) if local else end - k
+                part, states, ahead = local.begin(units) if local else np.eye(len(whole)), [now], a
+                for step in range(k, k + count):
+                    after, part, ahead = self.both(step * h, states[-1], h, ahead, units, part)
+                    states.append(after)
+                part, missed = local.whole(part, units) if local else (part, 0.0)
+                if not missed <= TAILS:  # they came farther
+                    reach *= 2
+                    local = self._compressed(reach)
+                    continue
+                now, a, k, whole, off = states[-1], ahead, k + count, part @ whole, off + missed
+                path += states[1:]
+            pieces.append(whole)
+        return np.array(path), pieces, off
+
+    def _compressed(self, reach: int) -> Compressed | None:
+        """Variations so compressed, None where they are not half as many."""
+        n = self.residual.size
+        local = None if 2 * reach > n else Compressed(self.table, n, reach)
+        return local if local and 2 * local.count < n else None
+
+    def _start(self, state: np.ndarray) -> np.ndarray:
+        """The stages (s x n) that a first step begins with."""
+        return np.repeat(self.many(np.zeros(1), state[None])[:, self.residual.size :], STAGES, axis=0)
 
     def both(
         self, t: float, state: np.ndarray, h: float, a: np.ndarray, units: np.ndarray, varied: np.ndarray | None
     ) -> tuple[np.ndarray, Any, np.ndarray]:
         """A state (2n) and variations (2n x k) after a step, and the stages (s x n) that the next begins with."""
+        limit.check()
         end, a = self._stepped(t, state, h, a, units)
         return end, None if varied is None else self._varied(t, state, h, a, varied), self._ahead @ a
 
@@ -289,12 +363,16 @@ def gathered(model: Model, state: np.ndarray, period: float, damped: bool = Fals
     """
     residual, n = Residual(model, cycles=model.forcing_cycles(period)), model.degrees_of_freedom
     motion = Implicit(model, residual, residual.start if model.forced else np.array([0.0, 2 * np.pi / period]))
-    rough = motion.path(state, period, STEPS, np.abs(state) + np.abs(state).max() + SETTLED)[0]
+    rough = motion.path(state, period, STEPS, np.abs(state) + np.abs(state).max() + SETTLED)
     units = extents_of(model, rough, period)
     steps, off = motion.steps(state, period)
-    states = motion.path(state, period, 2 * steps, units)[0]
+    states = motion.path(state, period, 2 * steps, units)
     proof = motion.decay(states) if damped else Decay(0.0)
-    coarse, pieces = motion.path(state, period, steps, units, None if proof.rate > 0 else np.eye(2 * n))
+    if proof.rate > 0:
+        coarse, pieces = motion.path(state, period, steps, units), list[np.ndarray]()
+    else:
+        coarse, pieces, missing = motion.carried(state, period, steps, units, np.isfinite(off))
+        off += missing
     missed, kept, sizes = (states[-1] - states[0]) / units, np.zeros((0, 2 * n)), np.abs(states / units)
     flow, rate, conservative = kept, None, symplectic(model)
     if not model.forced:
@@ -335,7 +413,7 @@ class ImplicitCheck:
 
     def __call__(self, state: np.ndarray, period: float, free: Mapping[str, float], units: np.ndarray) -> float:
         """The largest gap after a period, in `units` (2n). Raises `IntegrationError`."""
-        path = self._at(free, period).path(state, period, STEPS, units)[0]
+        path = self._at(free, period).path(state, period, STEPS, units)
         return float(np.abs((path[-1] - path[0]) / units).max())
 
     def kept(
@@ -346,7 +424,7 @@ class ImplicitCheck:
         begin = along[:, None] / float(np.abs(along / units).max())
         now, back = np.asarray(state, float), begin
         h = period / STEPS
-        a = np.repeat(motion.many(np.zeros(1), now[None])[:, along.size // 2 :], STAGES, axis=0)
+        a = motion._start(now)
         for k in range(STEPS):
             now, back, a = motion.both(k * h, now, h, a, units, back)
         return float(np.abs((back - begin)[:, 0] / units).max())
