@@ -9,9 +9,9 @@ each: uniform or graded, so that neighbouring orbits are integrated alike and a 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -41,7 +41,7 @@ class Varied:
 
     `ends` (N x d), `transitions` (N x d x d), `columns` (N x d x m) by (T, s, free); where they were asked for `states`
     (M + 1 x d) at the mesh; the `integral` over the horizon. `change` is what solving their equations moved last, in
-    extents of the motion, of which its square is left.
+    extents of the motion, of which its square is left. `kept` is what was made of the derivatives and takes long.
     """
 
     ends: np.ndarray
@@ -50,6 +50,7 @@ class Varied:
     states: np.ndarray
     integral: float
     change: float = 0.0
+    kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
 
 class March:
