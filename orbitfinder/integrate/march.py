@@ -125,16 +125,25 @@ class March:
 
     def build(self) -> None:
         """Derive and compile now what integrates states and derivatives, not at first use."""
+        self.ahead()
         assert (self._kernel(False) or self._step) and (self._kernel(True) or self._varied_step)
 
     def _kernel(self, varied: bool, segments: int = 0) -> Kernel | None:
         """What marches in lanes, with variations or without; decided at first use, for good."""
         if varied not in self._kernels:
-            how = self._effort, segments == 1
-            made = (varied_kernel(self.field, self.integrand, *how, self._apart, self._inverses) if varied
-                    else kernel(self._carried, *how, self._inverses))  # fmt: skip
-            self._kernels[varied] = made
+            self._kernels[varied] = self._compiled(varied, segments == 1)
         return self._kernels[varied]
+
+    def ahead(self) -> None:
+        """Have compilers begin beside each other with what integrates states and derivatives, where that takes long."""
+        for varied in (False, True) if self.wide and not self._kernels else ():
+            self._compiled(varied, False, True)
+
+    def _compiled(self, varied: bool, alone: bool, ahead: bool = False) -> Kernel | None:
+        if not varied:
+            return kernel(self._carried, self._effort, alone, self._inverses, ahead=ahead)
+        how = self._effort, alone, self._apart, self._inverses
+        return varied_kernel(self.field, self.integrand, *how, ahead=ahead)
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
@@ -391,6 +400,11 @@ class Marches:
         """Derive and compile now what integrates states and derivatives, not at first use."""
         for arc in self.arcs:
             arc.build()
+
+    def ahead(self) -> None:
+        """Have compilers begin with that, where it takes long."""
+        for arc in self.arcs:
+            arc.ahead()
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""

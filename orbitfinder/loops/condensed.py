@@ -214,7 +214,7 @@ def bordered(jacobian: Jacobian, row: np.ndarray) -> Jacobian:
 
 
 def combined(a: Jacobian, share: float, b: Jacobian, other: float) -> Jacobian | None:
-    """share a + other b, of no inner rows; None where only one is in parts, or their segments or rows differ."""
+    """share a + other b, of no inner rows; None where they are not alike in parts, segments and rows."""
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return share * a + other * b if a.shape == b.shape else None
     if not (isinstance(a, Linearised) and isinstance(b, Linearised)):
@@ -269,7 +269,7 @@ def _parts(matrix: np.ndarray, count: int, size: int) -> Linearised:
 
 
 def along_nodes(system: Linearised) -> Solver | None:
-    """The same of a matrix in parts by all nodes from the first one; None where segments grow too much, or it is not
+    """The same of a matrix in parts by all nodes from the first; None where segments grow too much, or it is not
     square or not finite."""
     (count, size, extra), links, cut = system.columns.shape, system.transitions[:-1], system.columns[1:, :, 0].size
     if len(system.first) != size + extra or system.inner is not None or not system.finite():
