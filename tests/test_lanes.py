@@ -552,6 +552,23 @@ def test_variations_of_a_chain_are_the_dense_ones_and_those_of_differences():
         np.testing.assert_allclose(whole[slopes.inner :, k], (late - early)[20:] / 2e-6, atol=1e-8 * scale)
 
 
+def test_two_compilers_begin_with_a_large_march(tmp_path, monkeypatch):
+    """With states and with derivatives, which are derived and compiled once; of a small one with neither."""
+    monkeypatch.setenv("ORBITFINDER_CACHE", str(tmp_path))
+    derived, forms = [], kernel.varied_forms
+    monkeypatch.setattr(kernel, "varied_forms", lambda *given: derived.append(1) or forms(*given))
+    before, made = len(compiled._begun), statistics().made
+    march = March(vector_field(of.chain(14)))
+    march.ahead()
+    assert len(compiled._begun) == before + 2
+    march.ends(np.full((1, 28), 0.1), uniform(0.1, 1, 4), np.ones(1))
+    march.build()
+    assert len(compiled._begun) == before and statistics().made == made + 2 and derived == [1]
+    assert all(march._kernels.values())
+    March(vector_field(of.chain(2))).ahead()
+    assert len(compiled._begun) == before
+
+
 def test_a_march_of_a_long_chain_is_the_interpreted_one():
     """Whose columns fill registers, with an integral that is carried along without variations too, and a parameter."""
     field, apart = (make(of.chain(15), ("gravity",)) for make in (vector_field, field_apart))

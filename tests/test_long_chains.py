@@ -19,7 +19,10 @@ from orbitfinder.integrate.compiled import available, compiling
 from orbitfinder.integrate.cvodes import build_flow, transition
 from orbitfinder.integrate.march import March, uniform
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
+from orbitfinder.loops import condensed, continued
+from orbitfinder.loops.condensed import SMALL, Linearised
 from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.continued import kernel, scaled
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.model import energies, vector_field
@@ -435,12 +438,39 @@ def test_problem_file_of_a_long_chain(links, tmp_path):
         assert CliRunner().invoke(cli, ["verify", str(file)]).exit_code == 0
 
 
-def test_a_large_family_marches_variations_once_a_point(monkeypatch):
-    """Its points are those of Newton's method all the way, and the action is integrated without variations."""
+def test_the_direction_of_a_large_family_is_the_kernel_of_its_rows(monkeypatch):
+    """By inverse iteration as by singular values, which it leaves rows to that depend on each other."""
+    monkeypatch.setattr(continued, "SMALL", 0)
+    with compiling("off"):
+        start = begin(mode_problem(10, 0.3), symmetry="brake+reflection")
+        curve, rows = start.curve, start.solution.jacobian
+        known = replace(start.solution, jacobian=rows.matrix())
+        singular, decomposed = kernel(curve, known), []
+        svd = np.linalg.svd
+        monkeypatch.setattr(np.linalg, "svd", lambda *given, **how: decomposed.append(1) or svd(*given, **how))
+        whole = kernel(curve, start.solution)
+        assert not decomposed
+        np.testing.assert_allclose(whole * np.sign(whole @ singular), singular, atol=1e-9 * np.abs(singular).max())
+        twice = {name: np.array(getattr(rows, name)) for name in ("first", "last", "tail")}
+        for part in twice.values():
+            part[1] = part[0]
+        dependent = replace(start.solution, jacobian=replace(rows, **twice))
+        matrix, units = scaled(curve, dependent)
+        assert np.abs(matrix @ (kernel(curve, dependent) / units)).max() < 1e-9 and decomposed
+
+
+@pytest.mark.parametrize("small", [0, SMALL])
+def test_a_large_family_marches_variations_once_a_point(monkeypatch, small):
+    """Its points are those of Newton's method all the way, and the action is integrated without variations; so they are
+    of rows in parts.
+    """
+    monkeypatch.setattr(condensed, "SMALL", small)
+    monkeypatch.setattr(continued, "SMALL", small)
 
     def followed():
         start = begin(mode_problem(10, 0.3), symmetry="brake+reflection")
         assert start.curve.equations.march.wide is wide
+        assert isinstance(start.solution.jacobian, Linearised) is (wide and not small)
         marched.clear()
         settings = FamilySettings(events=False, certify=False, points=4)
         run = Run(start.curve, settings, 1, first_point(start, settings, None))

@@ -1,5 +1,6 @@
 """A family is the same in any units, from any instant of its first orbit and from any of its orbits."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from conftest import inside
 
 import orbitfinder as of
 from orbitfinder.families.start import begin
-from orbitfinder.loops.condensed import SMALL, Factors, Linearised, eliminated
+from orbitfinder.loops.condensed import SMALL, Linearised, along_nodes, combined, eliminated, factorised
 from orbitfinder.loops.scales import HARMONIC, Scales, sizes
 from orbitfinder.mechanics.kind import with_parameters
 
@@ -284,10 +285,31 @@ def test_many_rows_are_factorised_along_the_nodes(growth):
     transitions = growth * random.normal(size=(count, size, size)) / np.sqrt(size)
     parts = (random.normal(size=shape) for shape in ((size + extra, count * size), (size + extra, size)))
     columns, tail = random.normal(size=(count, size, extra)), random.normal(size=(size + extra, extra))
-    matrix = Linearised(transitions, columns, *parts, tail).matrix()
-    right, factors = random.normal(size=len(matrix)), Factors(matrix, (count, size))
-    assert len(matrix) > SMALL and bool(len(factors.links)) is (growth == 1.0)
-    assert factors.solve(right) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-7, abs=1e-9)
+    system = Linearised(transitions, columns, *parts, tail)
+    matrix = system.matrix()
+    right = random.normal(size=len(matrix))
+    assert len(matrix) > SMALL and (along_nodes(system) is not None) is (growth == 1.0)
+    known = pytest.approx(np.linalg.solve(matrix, right), rel=1e-7, abs=1e-9)
+    assert factorised(matrix, (count, size))(right) == known
+    assert factorised(system)(right) == known
+    with pytest.raises(np.linalg.LinAlgError):
+        factorised(system.bordered(right))
+
+
+def test_jacobians_in_parts_combine_as_whole_ones():
+    """Whatever nodes their closing rows are of; those of other segments do not."""
+    random = np.random.default_rng(5)
+
+    def made(count, nodes):
+        sizes = (count, 3, 3), (count, 3, 2), (4, 3 * nodes), (4, 3), (4, 2)
+        return Linearised(*(random.normal(size=size) for size in sizes))
+
+    a, b = made(5, 5), made(5, 1)
+    b = replace(b, last=a.last)  # the link that closes a loop does not change
+    known = 1.5 * a.matrix() - 0.5 * b.matrix()
+    np.testing.assert_allclose(combined(a, 1.5, b, -0.5).matrix(), known, atol=1e-13)
+    np.testing.assert_allclose(combined(a.matrix(), 1.5, b.matrix(), -0.5), known, rtol=1e-14)
+    assert combined(a, 1.5, made(4, 1), -0.5) is None and combined(a, 1.5, b.matrix(), -0.5) is None
 
 
 def test_a_harmonic_motion_has_length_one_in_each_component():

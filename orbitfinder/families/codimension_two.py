@@ -168,6 +168,6 @@ def is_centre(curve: Curve, place: Unknowns, name: str, rising: float) -> bool:
     whole = kernel(family, solution)
     for length in (-ASIDE, ASIDE):
         aim = plane(family, place, whole, length)
-        aside = correct(family, advanced(place, whole, length), aim, place, slope=solution.slope)
+        aside = correct(family, advanced(place, whole, length), aim, place, slope=solution.jacobian)
         bent += parameter_value(curve, aside.place, name) - parameter_value(curve, place, name)
     return bent * rising > 0

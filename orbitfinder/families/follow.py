@@ -41,6 +41,7 @@ from orbitfinder.families.run import (
 )
 from orbitfinder.families.stability import Spectrum
 from orbitfinder.loops.block import Ahead, Blocks, Pacing
+from orbitfinder.loops.condensed import combined
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Solution, advanced, correct, distance, plane, tangent
 from orbitfinder.loops.loop import Unknowns
@@ -143,7 +144,8 @@ def _corrected(run: Run, before: Walked, length: float, nearly: Unknowns | None 
     """The point a length on, corrected: from where it nearly is, on a mesh that fits it, where that is known."""
     curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
     guess = advanced(place, sample.whole, length, before.curvature)
-    slope = before.solution.slope if before.drift is None else before.solution.matrix + length * before.drift
+    jacobian, drift = before.solution.jacobian, before.drift
+    slope = jacobian if drift is None else combined(jacobian, 1.0, drift, length)
     aim, reach = plane(curve, place, sample.whole, length), 0.5 * length + 1e-9
     fit = regraded if nearly is None else None
     raw = correct(curve, nearly or guess, aim, place, reach=reach, slope=slope, fit=fit)
@@ -306,7 +308,7 @@ def _solve_level(run: Run, interval: Interval, near: float, value: float) -> Sol
     """The orbit at a given value of the parameter near a distance into an interval, on a mesh that satisfies it."""
     curve, first, reach = run.curve, interval.first.solution, interval.length
     aim = pinned(curve.equations, run.settings.parameter, value)
-    slope = first.slope if curve.test is None else interval.slope(near)
+    slope = first.jacobian if curve.test is None else interval.slope(near)
     solution = correct(curve, interval.guess(near), aim, first.place, reach=reach, slope=slope)
     if distance(curve, solution.place, first.place) > 2 * reach:
         raise ConvergenceError("the exact value was found on another part of the family")

@@ -14,7 +14,7 @@ from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.start import Start
 from orbitfinder.loops.block import Accepted, Blocks
-from orbitfinder.loops.condensed import Linearised
+from orbitfinder.loops.condensed import Jacobian
 from orbitfinder.loops.conditions import followed, pinned
 from orbitfinder.loops.continued import (
     Curve,
@@ -27,6 +27,7 @@ from orbitfinder.loops.continued import (
     crossed,
     distance,
     jacobian_of,
+    nearby,
     plane,
     tangent,
 )
@@ -144,14 +145,12 @@ class Interval:
         """Whether another family crosses inside, so that the rows there tell neither family's tangent."""
         return self.curve.degenerate and self.curve.test is None
 
-    def slope(self, distance: float) -> np.ndarray | None:
+    def slope(self, distance: float) -> Jacobian | None:
         """The Jacobian between those of the ends."""
         if self.crossing:  # it would lead along the family that crosses
             return None
         share, (a, b) = distance / self.length, (self.first.solution.jacobian, self.last.solution.jacobian)
-        if isinstance(a, Linearised) or isinstance(b, Linearised) or a.shape != b.shape:
-            return None
-        return np.asarray((1 - share) * a + share * b)
+        return nearby(self.curve, a, 1 - share, b, share)
 
     def crossed(self, sample: Sample) -> bool:
         """Whether another family crosses at an orbit of the interval."""
@@ -243,7 +242,7 @@ class Walked:
     curvature: np.ndarray
     trend: np.ndarray
     portraits: np.ndarray
-    drift: np.ndarray | None = None
+    drift: Jacobian | None = None
 
     @property
     def solution(self) -> Solution:
@@ -336,11 +335,12 @@ def accepted(curve: Curve, before: Unknowns, solution: Solution, whole: np.ndarr
     return Accepted(curve, here, whole, bend(curve, solution.place, whole, before))
 
 
-def drifted(curve: Curve, before: Solution, solution: Solution) -> np.ndarray | None:
+def drifted(curve: Curve, before: Solution, solution: Solution) -> Jacobian | None:
     """The change of the Jacobian with arclength from one orbit to the next, None where their segments differ."""
-    if before.place.displacement(solution.place) is None or isinstance(solution.jacobian, Linearised):
+    if before.place.displacement(solution.place) is None:
         return None
-    return np.asarray((solution.jacobian - before.matrix) / distance(curve, before.place, solution.place))
+    far = distance(curve, before.place, solution.place)
+    return nearby(curve, solution.jacobian, 1 / far, before.jacobian, -1 / far)
 
 
 def portrait(curve: Curve, solution: Solution) -> np.ndarray:

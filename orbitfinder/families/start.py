@@ -241,6 +241,7 @@ def _shot(problem: Problem, free: tuple[str, ...]) -> tuple[Equations, Unknowns]
     place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
     if equations.links:
         place = first_unknowns(equations, problem.guess, 1, rounded(FIRST_STEPS / equations.links.count))
+    equations.march.ahead()
     return equations, place
 
 

@@ -88,7 +88,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
     curve = curve.measured(solution)
     whole = _heading(curve, solution, along)
     here, said = Probe(curve, solution), ConvergenceError("no orbits beside it")
-    result, slope = None, None if curve.test is not None or crossed(curve, solution) else solution.slope
+    result, slope = None, None if curve.test is not None or crossed(curve, solution) else solution.jacobian
     for share, outer in SHARES:
         try:
             looks = [

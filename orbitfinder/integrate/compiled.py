@@ -227,9 +227,7 @@ def library(code: str, opened: Callable[[Path, bool], T], effort: float | None, 
     `opened` removes a file that is not as it must be; `level` of optimisation, "" for what suits the length. Raises
     `Unavailable` and `OSError`.
     """
-    compiler, (code, numbers) = find_compiler(), apart(code)
-    if level:
-        compiler = replace(compiler, tuning=(*compiler.tuning, level))
+    compiler, (code, numbers) = _leveled(level), apart(code)
     key = _key(code, compiler)
 
     def holds(path: Path, new: bool) -> T:
@@ -248,12 +246,18 @@ def _key(code: str, compiler: Compiler) -> str:
     return key_of(code, compiler.identity, " ".join(flags(len(code), compiler.tuning)), ca.__version__)
 
 
-def begin(make_code: Callable[[], str], effort: float | None) -> None:
+def _leveled(level: str) -> Compiler:
+    """The compiler, with a level of optimisation."""
+    compiler = find_compiler()
+    return replace(compiler, tuning=(*compiler.tuning, level)) if level else compiler
+
+
+def begin(make_code: Callable[[], str], effort: float | None, level: str = "") -> None:
     """Have a compiler begin beside this process with what `library` is asked for soon, if there is one."""
     if mode() == "off":
         return
     with captured(), contextlib.suppress(Unavailable, OSError, RuntimeError):
-        (code, _), compiler, place = apart(make_code()), find_compiler(), usable()
+        (code, _), compiler, place = apart(make_code()), _leveled(level), usable()
         key = _key(code, compiler)
         worth_it(len(code), effort)
         if (place, key) not in _begun and find_entry(place, key) is None:

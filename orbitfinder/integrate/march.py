@@ -9,9 +9,9 @@ each: uniform or graded, so that neighbouring orbits are integrated alike and a 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -41,7 +41,7 @@ class Varied:
 
     `ends` (N x d), `transitions` (N x d x d), `columns` (N x d x m) by (T, s, free); where they were asked for `states`
     (M + 1 x d) at the mesh; the `integral` over the horizon. `change` is what solving their equations moved last, in
-    extents of the motion, of which its square is left.
+    extents of the motion, of which its square is left. `kept` is what was made of the derivatives and takes long.
     """
 
     ends: np.ndarray
@@ -50,6 +50,7 @@ class Varied:
     states: np.ndarray
     integral: float
     change: float = 0.0
+    kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
 
 class March:
@@ -124,16 +125,25 @@ class March:
 
     def build(self) -> None:
         """Derive and compile now what integrates states and derivatives, not at first use."""
+        self.ahead()
         assert (self._kernel(False) or self._step) and (self._kernel(True) or self._varied_step)
 
     def _kernel(self, varied: bool, segments: int = 0) -> Kernel | None:
         """What marches in lanes, with variations or without; decided at first use, for good."""
         if varied not in self._kernels:
-            how = self._effort, segments == 1
-            made = (varied_kernel(self.field, self.integrand, *how, self._apart, self._inverses) if varied
-                    else kernel(self._carried, *how, self._inverses))  # fmt: skip
-            self._kernels[varied] = made
+            self._kernels[varied] = self._compiled(varied, segments == 1)
         return self._kernels[varied]
+
+    def ahead(self) -> None:
+        """Have compilers begin beside each other with what integrates states and derivatives, where that takes long."""
+        for varied in (False, True) if self.wide and not self._kernels else ():
+            self._compiled(varied, False, True)
+
+    def _compiled(self, varied: bool, alone: bool, ahead: bool = False) -> Kernel | None:
+        if not varied:
+            return kernel(self._carried, self._effort, alone, self._inverses, ahead=ahead)
+        how = self._effort, alone, self._apart, self._inverses
+        return varied_kernel(self.field, self.integrand, *how, ahead=ahead)
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
@@ -390,6 +400,11 @@ class Marches:
         """Derive and compile now what integrates states and derivatives, not at first use."""
         for arc in self.arcs:
             arc.build()
+
+    def ahead(self) -> None:
+        """Have compilers begin with that, where it takes long."""
+        for arc in self.arcs:
+            arc.ahead()
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""

@@ -11,9 +11,10 @@ large; beyond `LARGEST_PRODUCT` the whole matrix is solved instead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dgecon, dgetrf, dgetrs, dlange, dtrtrs
@@ -60,7 +61,8 @@ class Linearised:
     """Phi_k (N x d x d), C_k (N x d x m), and the closing rows' derivatives F (r x d, by the first node alone,
     or r x N d), L (r x d), G (r x m).
 
-    `inner` are rows (g) of one segment each (its number), by that segment's node (g x d) and by y (g x m).
+    `inner` are rows (g) of one segment each (its number), by that segment's node (g x d) and by y (g x m). `kept` is
+    what was made of Phi_k and C_k and takes long.
     """
 
     transitions: np.ndarray
@@ -69,21 +71,32 @@ class Linearised:
     last: np.ndarray
     tail: np.ndarray
     inner: Inner | None = None
+    kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def matrix(self) -> np.ndarray:
         """The derivatives of all rows by w."""
-        total, size = self.transitions[..., 0].size, self.transitions.shape[1]
-        closing, tail = self._closing()
-        matrix = np.zeros((total - size + len(closing), total + tail.shape[1]))
+        (closing, tail), size = self.closed(), self.transitions.shape[1]
+        total, cut = closing.shape[1], closing.shape[1] - size
+        matrix = np.zeros((cut + len(closing), total + tail.shape[1]))
         for k, transition in enumerate(self.transitions[:-1]):
             rows, after = slice(k * size, (k + 1) * size), (k + 1) * size
             matrix[rows, rows] = transition
             np.fill_diagonal(matrix[rows, after : after + size], -1.0)
-        matrix[: total - size, total:] = self.columns[:-1].reshape(total - size, tail.shape[1])
-        matrix[total - size :, :total] = closing[:, :total]
-        matrix[total - size :, total - size : total] += closing[:, total:] @ self.transitions[-1]
-        matrix[total - size :, total:] = closing[:, total:] @ self.columns[-1] + tail
+        matrix[:cut, total:] = self.columns[:-1].reshape(cut, tail.shape[1])
+        matrix[cut:, :total], matrix[cut:, total:] = closing, tail
         return matrix
+
+    def closed(self) -> tuple[np.ndarray, np.ndarray]:
+        """The derivatives of the closing rows, and of the inner ones after them, by the nodes (r x N d) and by y."""
+        (closing, tail), total, size = self._closing(), self.transitions[..., 0].size, self.transitions.shape[1]
+        nodes, end = closing[:, :total], closing[:, total:]
+        nodes[:, total - size :] += end @ self.transitions[-1]
+        return nodes, end @ self.columns[-1] + tail
+
+    def finite(self) -> bool:
+        """Whether all numbers are."""
+        parts = (self.transitions, self.columns, self.first, self.last, self.tail)
+        return all(bool(np.isfinite(part).all()) for part in parts)
 
     def sparse(self) -> csc_matrix:
         """The same for many segments, of which most of it is 0."""
@@ -134,9 +147,7 @@ def pivoted(system: Linearised, columns: np.ndarray | None = None) -> Solver:
     square.
     """
     count, size, extra = system.columns.shape
-    if len(system.first) != size + extra or not all(
-        np.isfinite(part).all() for part in (system.transitions, system.columns, system.first, system.tail)
-    ):
+    if len(system.first) != size + extra or not system.finite():
         raise np.linalg.LinAlgError("not square or not finite")
     if (opened := chains()) is not None and count > 1:
         first = np.zeros((len(system.first), count * size))
@@ -188,75 +199,122 @@ def _solver(matrix: np.ndarray) -> Solver:
     return least_squares(matrix, CUTOFF)
 
 
-class Factors:
-    """The LU factors of a square matrix. Raises `LinAlgError` where it is singular, or not square.
+Jacobian = np.ndarray | Linearised
+"""The derivatives of rows by w, whole or in parts"""
 
-    Its first rows may be those of the links between `nodes` (N x d), -1 by each next node: then all nodes are followed
-    from the first, and what is factorised is d and the last columns wide.
+
+def dense(jacobian: Jacobian) -> np.ndarray:
+    """The same as a whole."""
+    return jacobian.matrix() if isinstance(jacobian, Linearised) else jacobian
+
+
+def bordered(jacobian: Jacobian, row: np.ndarray) -> Jacobian:
+    """The same with a row more, over w, after the others."""
+    return jacobian.bordered(row) if isinstance(jacobian, Linearised) else np.vstack([jacobian, row])
+
+
+def combined(a: Jacobian, share: float, b: Jacobian, other: float) -> Jacobian | None:
+    """share a + other b, of no inner rows; None where they are not alike in parts, segments and rows."""
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return share * a + other * b if a.shape == b.shape else None
+    if not (isinstance(a, Linearised) and isinstance(b, Linearised)):
+        return None
+    if a.columns.shape != b.columns.shape or len(a.first) != len(b.first):
+        return None
+    first = np.zeros((len(a.first), max(a.first.shape[1], b.first.shape[1])))
+    for each, weight in ((a, share), (b, other)):
+        first[:, : each.first.shape[1]] += weight * each.first
+    transitions, columns = share * a.transitions + other * b.transitions, share * a.columns + other * b.columns
+    return Linearised(transitions, columns, first, share * a.last + other * b.last, share * a.tail + other * b.tail)
+
+
+def factorised(matrix: Jacobian, nodes: tuple[int, ...] = (1, 0)) -> Solver:
+    """What multiplies by the inverse of a square matrix. Raises `LinAlgError` where it is singular, or not square.
+
+    The first rows of a whole one may be those of the links between `nodes` (N x d): of many unknowns all nodes are
+    then followed from the first, as those in parts are, and what is factorised is d and the last columns wide.
     """
+    parts = matrix if isinstance(matrix, Linearised) else _parts(matrix, *nodes) if nodes[0] > 1 else None
+    if parts is not None and parts.columns[..., 0].size > SMALL and (solver := along_nodes(parts)):
+        return solver
+    matrix = dense(matrix)
+    if matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():
+        raise np.linalg.LinAlgError("not square or not finite")
+    if len(matrix) > SMALL and SPARSE * np.count_nonzero(matrix) < matrix.size:
+        try:
+            sparse = splu(csc_matrix(matrix))
+        except RuntimeError as error:
+            raise np.linalg.LinAlgError(str(error)) from None
+        return lambda right: np.asarray(sparse.solve(right))
+    return _pivoted(matrix)
 
-    def __init__(self, matrix: np.ndarray, nodes: tuple[int, ...] = (1, 0)) -> None:
-        if matrix.shape[0] != matrix.shape[1] or not np.all(np.isfinite(matrix)):
-            raise np.linalg.LinAlgError("not square or not finite")
-        (count, size), self._sparse = nodes, None
-        self.links = self._closing = self._along = matrix[:0]
-        if len(matrix) > SMALL and count > 1:
-            matrix = self._followed(matrix, count, size)
-        elif len(matrix) > SMALL and SPARSE * np.count_nonzero(matrix) < matrix.size:
-            try:
-                self._sparse = splu(csc_matrix(matrix))
-            except RuntimeError as error:
-                raise np.linalg.LinAlgError(str(error)) from None
-            return
-        self._dense, self._order, fault = dgetrf(matrix)
-        if fault:
-            raise np.linalg.LinAlgError("singular matrix")
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """matrix^-1 right (n)."""
-        if self._sparse is not None:
-            return np.asarray(self._sparse.solve(right))
-        cut = len(self.links)
-        if not cut:
-            return np.asarray(dgetrs(self._dense, self._order, right)[0])
-        carried = np.zeros(len(self._along))
-        size = len(carried) - cut
-        for k in range(0, cut, size):
-            here, after = slice(k, k + size), slice(k + size, k + 2 * size)
-            carried[after] = self.links[here, here] @ carried[here] - right[here]
-        head = np.asarray(dgetrs(self._dense, self._order, right[cut:] - self._closing @ carried)[0])
-        return np.concatenate([carried + self._along @ head, head[size:]])
+def _pivoted(matrix: np.ndarray) -> Solver:
+    """The same by LAPACK, of a matrix that is square and finite."""
+    factors, order, fault = dgetrf(matrix)
+    if fault:
+        raise np.linalg.LinAlgError("singular matrix")
+    return lambda right: np.asarray(dgetrs(factors, order, right)[0])
 
-    def _followed(self, matrix: np.ndarray, count: int, size: int) -> np.ndarray:
-        """The closing rows by the first node and the last columns; the matrix itself where segments grow too much."""
-        total, cut = count * size, (count - 1) * size
-        along = np.zeros((total, size + len(matrix) - total))
-        along[:size, :size] = np.eye(size)
-        for k in range(0, cut, size):
-            here, after = slice(k, k + size), slice(k + size, k + 2 * size)
-            along[after] = matrix[here, here] @ along[here]
-            along[after, size:] += matrix[here, total:]
-        if not np.abs(along).max() <= LARGEST_PRODUCT:
-            return matrix
-        self.links, self._closing, self._along = matrix[:cut], matrix[cut:, :total], along
-        reduced = self._closing @ along
-        reduced[:, size:] += matrix[cut:, total:]
-        return np.asarray(reduced)
+
+def _parts(matrix: np.ndarray, count: int, size: int) -> Linearised:
+    """A whole matrix in parts, what it has of the last segment among the closing rows."""
+    total, cut = count * size, (count - 1) * size
+    transitions, columns = np.zeros((count, size, size)), np.zeros((count, size, matrix.shape[1] - total))
+    for k in range(count - 1):
+        transitions[k] = matrix[k * size : (k + 1) * size, k * size : (k + 1) * size]
+    columns[:-1] = matrix[:cut, total:].reshape(count - 1, size, -1)
+    closing = matrix[cut:]
+    return Linearised(transitions, columns, closing[:, :total], np.zeros((len(closing), size)), closing[:, total:])
+
+
+def along_nodes(system: Linearised) -> Solver | None:
+    """The same of a matrix in parts by all nodes from the first; None where segments grow too much, or it is not
+    square or not finite."""
+    (count, size, extra), links, cut = system.columns.shape, system.transitions[:-1], system.columns[1:, :, 0].size
+    if len(system.first) != size + extra or system.inner is not None or not system.finite():
+        return None
+    along = system.kept.get("along")
+    if along is None:
+        along = np.zeros((count, size, size + extra))
+        np.fill_diagonal(along[0], 1.0)
+        for k, link in enumerate(links):
+            np.matmul(link, along[k], out=along[k + 1])
+            along[k + 1][:, size:] += system.columns[k]
+        system.kept["along"] = along
+    if not np.abs(along).max() <= LARGEST_PRODUCT:
+        return None
+    closing, tail = system.closed()
+    reduced = np.hstack([np.zeros((len(tail), size)), tail])
+    for k, followed in enumerate(along):
+        block = closing[:, k * size : (k + 1) * size]
+        rows = np.flatnonzero(block.any(axis=1))  # most have something of the first and of the last node alone
+        reduced[rows] += block[rows] @ followed
+    solved = _pivoted(reduced)
+
+    def solve(right: np.ndarray) -> np.ndarray:
+        carried, defects = np.zeros((count, size)), right[:cut].reshape(-1, size)
+        for k, link in enumerate(links):
+            carried[k + 1] = link @ carried[k] - defects[k]
+        head = solved(right[cut:] - closing @ carried.ravel())
+        return np.concatenate([(carried + along @ head).ravel(), head[size:]])
+
+    return solve
 
 
 class Broyden:
-    """Full steps of Broyden's method from the factors of one Jacobian, its updates kept as the steps themselves.
+    """Full steps of Broyden's method from one Jacobian, its updates kept as the steps themselves.
 
     Source: C. T. Kelley, Iterative Methods for Linear and Nonlinear Equations (1995), section 7.3, algorithm brsol.
     """
 
-    def __init__(self, factors: Factors) -> None:
-        self.factors = factors
+    def __init__(self, solver: Solver) -> None:
+        self.solver = solver
         self._steps: list[np.ndarray] = []
 
     def step(self, rows: np.ndarray) -> np.ndarray:
         """The step from where the residual is `rows`; the steps before it must have been taken in full."""
-        right = -self.factors.solve(rows)
+        right = -self.solver(rows)
         for step, following in pairwise(self._steps):
             right = right + following * ((step @ right) / (step @ step))
         if self._steps:

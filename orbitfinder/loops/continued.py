@@ -16,12 +16,23 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
-from orbitfinder.loops.condensed import Broyden, Factors, Linearised, pivoted
+from orbitfinder.loops.condensed import (
+    SMALL,
+    Broyden,
+    Jacobian,
+    Linearised,
+    bordered,
+    combined,
+    dense,
+    factorised,
+    pivoted,
+)
 from orbitfinder.loops.conditions import hyperplane
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns, beyond
 from orbitfinder.loops.problem import clocked
 from orbitfinder.loops.scales import Measures, Scales, sizes
 from orbitfinder.loops.watch import Watch
+from orbitfinder.mechanics.newton import Solver
 from orbitfinder.mechanics.scales import parameter_sizes, snapped
 
 
@@ -51,6 +62,10 @@ class CorrectorSettings:
     """A parameter that is below this share of its usual size (`mechanics.scales.parameter_sizes`) is at 0."""
     difference: float = 1e-4
     """Half of a central difference of a test function, in the metric: its error and round-off are both some 1e-8."""
+    iterations: int = 3
+    """Steps from a random vector to a kernel, whose error each of them squares, and vectors that ask for the rank."""
+    dependent: float = 1e-7
+    """A singular value below this, in the units of rows, asks for all of them."""
 
 
 CORRECTOR = CorrectorSettings()
@@ -134,12 +149,12 @@ NO_ROWS = np.zeros((0, 0))
 @dataclass(frozen=True)
 class Solution:
     """A corrected orbit with the integration it came from and the Jacobian of all rows, a test's too, but the aim; of a
-    collocated orbit without a test as its parts.
+    collocated or a large one without a test as its parts.
     """
 
     place: Unknowns
     march: Varied
-    jacobian: np.ndarray | Linearised
+    jacobian: Jacobian
     residual: float
     stepped: float = 0.0
     """how far, in the family's metric, the place is from where `march` was made: Newton's last step"""
@@ -151,12 +166,7 @@ class Solution:
     @property
     def matrix(self) -> np.ndarray:
         """The Jacobian, dense."""
-        return self.jacobian.matrix() if isinstance(self.jacobian, Linearised) else self.jacobian
-
-    @property
-    def slope(self) -> np.ndarray | None:
-        """What `correct` begins with nearby: no parts, which are factorised anew as quickly."""
-        return None if isinstance(self.jacobian, Linearised) else self.jacobian
+        return dense(self.jacobian)
 
 
 def make_curve(
@@ -201,10 +211,21 @@ def _measures(curve: Curve, w: Unknowns, slopes: np.ndarray | None = None) -> Me
     return replace(measures, rows=np.concatenate([named, [TESTED], aims]))
 
 
-def jacobian_of(curve: Curve, w: Unknowns, path: Varied) -> np.ndarray | Linearised:
-    """The Jacobian of the rows without a test and an aim: of many segments as its parts."""
-    system = curve.linearised(w, path)
-    return system if curve.equations.gridded and curve.test is None and not curve.degenerate else system.matrix()
+def jacobian_of(curve: Curve, w: Unknowns, path: Varied) -> Jacobian:
+    """The Jacobian of the rows without a test and an aim: of many segments or large nodes as its parts."""
+    system, large = curve.linearised(w, path), curve.equations.march.wide and w.nodes.size > SMALL
+    parts = (curve.equations.gridded or large) and curve.test is None and not curve.degenerate
+    return system if parts else system.matrix()
+
+
+def nearby(curve: Curve, a: Jacobian, share: float, b: Jacobian, other: float) -> Jacobian | None:
+    """share a + other b of two orbits' Jacobians, None where `correct` does not begin with what is nearby."""
+    return combined(a, share, b, other) if begins(curve, a) and begins(curve, b) else None
+
+
+def begins(curve: Curve, jacobian: Jacobian) -> bool:
+    """Whether `correct` begins with a Jacobian nearby: not with parts of many segments, factorised anew as quickly."""
+    return not (isinstance(jacobian, Linearised) and curve.equations.gridded)
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost: np.ndarray) -> np.ndarray:
@@ -213,7 +234,7 @@ def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost:
 
 
 def _approached(
-    curve: Curve, guess: Unknowns, aim: Condition, matrix: np.ndarray, measures: tuple[np.ndarray, np.ndarray],
+    curve: Curve, guess: Unknowns, aim: Condition, matrix: Jacobian, measures: tuple[np.ndarray, np.ndarray],
     fit: Callable[[Solution], np.ndarray] | None,
 ) -> Unknowns:  # fmt: skip
     """The guess improved by Broyden's method on marches of the state alone, in long steps, from a Jacobian of all rows.
@@ -224,19 +245,19 @@ def _approached(
     in short ones.
     """
     coarser = 2 if guess.steps % 2 == 0 and guess.mesh.size > CORRECTOR.fewest_steps else 1
-    cut = (len(guess.nodes) - 1) * curve.equations.size + len(curve.equations.boundary[0])
-    matrix[cut : cut + len(curve.normals), : curve.normals.shape[1]] = curve.normals
+    before_closing = (len(guess.nodes) - 1) * curve.equations.size
+    rows, cut = (matrix.first, 0) if isinstance(matrix, Linearised) else (matrix, before_closing)
+    cut += len(curve.equations.boundary[0])
+    rows[cut : cut + len(curve.normals), : curve.normals.shape[1]] = curve.normals
     dear, best = curve.equations.march.wide, np.inf
     kept = guess.on(guess.mesh[::coarser])
     try:
         while True:
-            method, before = Broyden(_factors(curve, guess, matrix)), best
+            method, before = Broyden(_factorised(curve, guess, matrix)), best
             kept, best = _stepped(curve, kept, aim, method, measures, CORRECTOR.approached)
             if not dear or best < CORRECTOR.approached or not best < CORRECTOR.slow * before:
                 break
-            rows = jacobian_of(curve, kept, curve.equations.varied(kept))
-            assert isinstance(rows, np.ndarray)
-            matrix = np.vstack([rows, curve.slopes(kept, (aim,))])
+            matrix = bordered(jacobian_of(curve, kept, curve.equations.varied(kept)), curve.slopes(kept, (aim,))[0])
     except (np.linalg.LinAlgError, IntegrationError):
         return kept.on(guess.mesh)
     kept = kept.on(guess.mesh)
@@ -246,7 +267,7 @@ def _approached(
         if fit is not None:
             states = curve.equations.march.states(kept.nodes, kept.mesh, kept.tail)
             kept = kept.on(fit(Solution(kept, Varied(states[:0], NO_ROWS, NO_ROWS, states, 0.0), NO_ROWS, best)))
-        return _stepped(curve, kept, aim, Broyden(method.factors), measures, CORRECTOR.newton_ready)[0]
+        return _stepped(curve, kept, aim, Broyden(method.solver), measures, CORRECTOR.newton_ready)[0]
     except IntegrationError:
         return kept
 
@@ -277,7 +298,7 @@ def correct(
     aim: Condition,
     reference: Unknowns | None = None,
     reach: float = 1.0,
-    slope: np.ndarray | None = None,
+    slope: Jacobian | None = None,
     fit: Callable[[Curve, Solution], np.ndarray] | None = None,
 ) -> Solution:
     """Newton from a guess onto the family where the aim is met.
@@ -337,7 +358,7 @@ def _correcting(
     aim: Condition,
     reference: Unknowns | None = None,
     reach: float = 1.0,
-    slope: np.ndarray | None = None,
+    slope: Jacobian | None = None,
     fit: Callable[[Curve, Solution], np.ndarray] | None = None,
 ) -> Generator[Unknowns, Varied, Solution]:
     """The steps of `correct`: unknowns whose integration each of them asks for."""
@@ -346,9 +367,9 @@ def _correcting(
     slopes = curve.slopes(guess, (*curve.conditions, aim))
     w, previous, units, lost = guess, np.inf, _measures(curve, guess, slopes).rows, curve.lost(guess, (aim,), slopes)
     border, patience = (None, 2) if curve.test is None else (Border(curve, slope), 5)
-    if slope is not None and border is None:
+    if slope is not None and border is None and begins(curve, slope):
         better = None if fit is None else partial(fit, family)
-        w = _approached(curve, guess, aim, np.vstack([slope, slopes[-1]]), (units, lost), better)
+        w = _approached(curve, guess, aim, bordered(slope, slopes[-1]), (units, lost), better)
     for iteration in range(CORRECTOR.most_newton):
         path = yield w
         rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), jacobian_of(curve, w, path)
@@ -359,7 +380,7 @@ def _correcting(
         ready = largest < CORRECTOR.newton_ready or (largest < CORRECTOR.newton_floor and largest > stays * previous)
         if not np.isfinite(largest) or (iteration > patience and largest > 0.5 * previous and not ready):
             raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
-        if not np.isfinite(jacobian.transitions if isinstance(jacobian, Linearised) else jacobian).all():
+        if not (jacobian.finite() if isinstance(jacobian, Linearised) else np.isfinite(jacobian).all()):
             raise ConvergenceError("the variations of the corrector's orbit overflow; take a smaller step")
         if border is not None:
             slow = iteration > 0 and largest > CORRECTOR.slow * previous
@@ -389,10 +410,10 @@ class Border:
     corrected, are differences; in between they follow from how the test changes (a secant update).
     """
 
-    def __init__(self, curve: Curve, slope: np.ndarray | None = None) -> None:
+    def __init__(self, curve: Curve, slope: Jacobian | None = None) -> None:
         assert curve.test is not None
         self.curve, self.test = curve, curve.test
-        self._row = np.zeros(0) if slope is None else slope[-1]
+        self._row = slope[-1] if isinstance(slope, np.ndarray) else np.zeros(0)
         self._last: tuple[np.ndarray, float] | None = None
         self._free, self._across = np.zeros((0, 0)), np.zeros((0, 0))
         self._value = np.inf
@@ -447,34 +468,28 @@ def _left_free(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.qr(matrix.T, mode="complete")[0][:, len(matrix) :].T)
 
 
-def _solver(
-    curve: Curve, w: Unknowns, jacobian: np.ndarray | Linearised, row: np.ndarray
-) -> Callable[[np.ndarray], np.ndarray]:
+def _solver(curve: Curve, w: Unknowns, jacobian: Jacobian, row: np.ndarray) -> Solver:
     """What multiplies by the inverse of all rows, one over w the last; where they are degenerate without the direction
     that they leave to a symmetry."""
-    if isinstance(jacobian, Linearised):
+    system, columns = bordered(jacobian, row), curve.scales.columns(w)
+    gridded = isinstance(system, Linearised) and curve.equations.gridded
+    if gridded or not curve.degenerate:
         try:
-            system = jacobian.bordered(row)
-            step = pivoted(system, curve.scales.columns(w))
+            return _factorised(curve, w, system)
         except np.linalg.LinAlgError:
-            return lambda right: np.asarray(np.linalg.lstsq(system.matrix(), right, rcond=1e-12)[0])
-        return lambda right: -step(right)
-    matrix = np.vstack([jacobian, row])
-    if not curve.degenerate:
-        try:
-            return _factors(curve, w, matrix).solve
-        except np.linalg.LinAlgError:
-            return lambda right: np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0])
-    columns = curve.scales.columns(w)
-    measured = matrix * columns
+            return lambda right: np.asarray(np.linalg.lstsq(dense(system), right, rcond=1e-12)[0])
+    measured = dense(system) * columns
     rows = nonzero(np.linalg.norm(measured, axis=1))
     left, sizes, across = np.linalg.svd(measured / rows[:, None])
     return lambda right: np.asarray(columns * (across[:-1].T @ ((left.T @ (right / rows))[:-1] / sizes[:-1])))
 
 
-def _factors(curve: Curve, w: Unknowns, matrix: np.ndarray) -> Factors:
-    """The factors of all rows, one over w the last; of large nodes each follows from the first."""
-    return Factors(matrix, w.nodes.shape if curve.equations.march.wide else (1, 0))
+def _factorised(curve: Curve, w: Unknowns, matrix: Jacobian) -> Solver:
+    """What multiplies by the inverse of all rows, one over w the last; of large nodes each follows from the first."""
+    if isinstance(matrix, Linearised) and curve.equations.gridded:
+        step = pivoted(matrix, curve.scales.columns(w))
+        return lambda right: -step(right)
+    return factorised(matrix, w.nodes.shape if curve.equations.march.wide else (1, 0))
 
 
 def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> Condition:
@@ -509,12 +524,39 @@ def tangent(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
 
 def kernel(curve: Curve, solution: Solution) -> np.ndarray:
     """The same without a direction to go by: the right singular vector of the smallest singular value."""
+    if (whole := _iterated(curve, solution)) is not None:
+        return whole
     matrix, units = scaled(curve, solution)
     last = np.linalg.svd(matrix)[2][-2:]
     if curve.degenerate:  # the direction in which a symmetry is lost is the kernel's too, and moves no parameter
         last = np.linalg.svd(last[:, -solution.place.free.size :])[0].T[:1] @ last
     whole = units * last[-1]
     return np.asarray(whole / np.sqrt(curve.scales.metric(solution.place) @ whole**2))
+
+
+def _iterated(curve: Curve, solution: Solution) -> np.ndarray | None:
+    """The same of large nodes by inverse iteration; None of others, and where the rows may be dependent.
+
+    Bordered by their kernel rows have the inverse of their own least singular value, by which most vectors grow.
+    """
+    jacobian, w = solution.jacobian, solution.place
+    if not isinstance(jacobian, Linearised) or curve.equations.gridded or curve.degenerate:
+        return None
+    measures, random = _measures(curve.through(w), w), np.random.default_rng(0)
+    units, rows, unit = measures.columns, np.append(measures.rows, 1.0), np.zeros(w.vector.size)
+    row, unit[-1] = random.normal(size=unit.size) / units, 1.0
+    try:
+        for _ in range(CORRECTOR.iterations):
+            whole = _factorised(curve, w, jacobian.bordered(row))(unit) / units
+            whole /= np.linalg.norm(whole)
+            row = whole / units
+        solver = _factorised(curve, w, jacobian.bordered(row))
+    except np.linalg.LinAlgError:
+        return None
+    grown = [np.linalg.norm(solver(rows * random.normal(size=unit.size)) / units) for _ in range(CORRECTOR.iterations)]
+    whole = units * whole
+    known = CORRECTOR.dependent * max(grown) < 1.0  # not so of what is no number
+    return np.asarray(whole / np.sqrt(curve.scales.metric(w) @ whole**2)) if known else None
 
 
 def crossed(curve: Curve, solution: Solution, share: float = CRITICAL) -> bool:

@@ -552,11 +552,11 @@ class Loop:
         rows[before:] = slopes[:, : rows.shape[1]]
         tail, end = np.zeros((len(rows), slopes.shape[1] - cut)), np.zeros((len(rows), size))
         tail[before:], end[: len(first)] = slopes[:, cut:], last
-        links, transitions, columns = self.equations.links, path.transitions, path.columns
+        links, transitions, columns, kept = self.equations.links, path.transitions, path.columns, path.kept
         inner: Inner | None = None
         if links:
-            transitions, columns, inner = links.varied(w, path)
-        return Linearised(transitions, columns, rows, end, tail, inner)
+            (transitions, columns, inner), kept = links.varied(w, path), {}
+        return Linearised(transitions, columns, rows, end, tail, inner, kept)
 
     def lost(self, w: Unknowns, aims: Sequence[Condition] = (), slopes: np.ndarray | None = None) -> np.ndarray:
         """What of each row near w may be round-off, those of aims last: where an energy is large beside its changes.

@@ -114,8 +114,10 @@ def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.nd
             return later[0], np.inf
         if len(carry):  # Frobenius' norm is no smaller than what is asked for
             bounds = np.sqrt((carry**2).sum(axis=(1, 2)))
-            first = float(np.linalg.norm(carry[bounds.argmax()], 2))
-            norms = np.linalg.norm(carry[bounds * (1 + 1e-12) >= first], 2, axis=(1, 2))
+            likely = bounds.argmax()
+            first = float(np.linalg.norm(carry[likely], 2))
+            rest = (bounds * (1 + 1e-12) >= first) & (np.arange(len(carry)) != likely)
+            norms = np.linalg.norm(carry[rest], 2, axis=(1, 2))
             largest = float(np.fmax.reduce(norms, initial=max(largest, first)))
     return later[0], largest if np.isfinite(largest) else np.inf
 

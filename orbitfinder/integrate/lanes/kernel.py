@@ -22,7 +22,7 @@ import numpy as np
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import LEAST
-from orbitfinder.integrate.compiled import LIMITS, Unavailable, attempted, library, mode, worth_it
+from orbitfinder.integrate.compiled import LIMITS, Unavailable, attempted, begin, library, mode, worth_it
 from orbitfinder.integrate.lanes.emit import field_code, scalars
 from orbitfinder.integrate.lanes.factors import SparseSlopes, sparse_slopes
 from orbitfinder.integrate.rk8 import directional_field, step_of, variational_field
@@ -37,7 +37,9 @@ SHORT = 1e-2
 LEVEL = "-O2"
 """More takes longer for nothing, as vector types say what is to be vectorised; at -O1 gcc leaves the upper halves of
 registers dirty when it calls libm, which makes that 20 times slower"""
-_kernels = Kept["Kernel | None"](REMEMBERED)
+Written = tuple[str, ca.Function, bool | None]
+"""What a `Kernel` is made of"""
+_kernels, _written = Kept["Kernel | None"](REMEMBERED), Kept[Written](REMEMBERED)
 Marching = Callable[..., int]
 SIGNATURE: list[Any] = [ctypes.c_ssize_t, *[ctypes.c_void_p] * 6, ctypes.c_ssize_t, ctypes.c_void_p]
 
@@ -49,7 +51,7 @@ class Kernel:
     With many columns, which fill the registers, so is each, and the state beside them by that of many: `only`.
     """
 
-    def __init__(self, code: str, known: ca.Function, alone: bool, only: bool | None = None) -> None:
+    def __init__(self, code: str, known: ca.Function, only: bool | None, alone: bool) -> None:
         self._code, self._known, self._only = code, known, only
         alone = alone if only is None else only
         self._libraries = {alone: self._made(alone)}
@@ -109,8 +111,7 @@ class Kernel:
         return self._libraries[alone]
 
     def _made(self, alone: bool) -> ctypes.CDLL:
-        code = "#define LANES 1\n" * alone + self._code
-        return library(code, lambda path, new: self._opened(path, new), None, LEVEL)
+        return library(_of_lanes(self._code, alone), lambda path, new: self._opened(path, new), None, LEVEL)
 
     def _opened(self, path: Path, new: bool) -> ctypes.CDLL:
         """A library loaded and, when new, compared with the interpreter."""
@@ -128,20 +129,22 @@ class Kernel:
         return opened
 
 
-def kernel(field: ca.Function, effort: float | None, alone: bool = False, inverses: bool = False) -> Kernel | None:
+def kernel(
+    field: ca.Function, effort: float | None, alone: bool = False, inverses: bool = False, *, ahead: bool = False
+) -> Kernel | None:
     """The kernel of a field f(t, y, s, free), None where there is none; `alone`: a single segment comes first;
-    `inverses` as `emitted` takes them."""
-    return _kept(effort, lambda: (field, field), alone, inverses, Same(field))
+    `inverses` as `emitted` takes them. `ahead`: none yet, a compiler begins with it beside this process."""
+    return _kept(effort, lambda: (field, field), alone, inverses, ahead, Same(field))
 
 
 def varied_kernel(
     field: ca.Function, integrand: ca.Function | None, effort: float | None, alone: bool = False,
-    apart: ca.Function | None = None, inverses: bool = False,
+    apart: ca.Function | None = None, inverses: bool = False, *, ahead: bool = False,
 ) -> Kernel | None:  # fmt: skip
     """That of a field of x with its variations and an integral, as `rk8.variational_field` makes it; `apart` is the
     field as `factors.sparse_slopes` takes it."""
     given = Same(field), Same(integrand)
-    return _kept(effort, lambda: varied_forms(field, integrand, apart), alone, inverses, *given)
+    return _kept(effort, lambda: varied_forms(field, integrand, apart), alone, inverses, ahead, *given)
 
 
 def varied_forms(
@@ -163,22 +166,36 @@ def march_code(emitted: ca.Function | SparseSlopes, inverses: bool = False) -> s
 
 def _kept(
     effort: float | None, forms: Callable[[], tuple[ca.Function | SparseSlopes, ca.Function]], alone: bool,
-    inverses: bool, *key: Same,
+    inverses: bool, ahead: bool, *key: Same,
 ) -> Kernel | None:  # fmt: skip
     """The kernel of what is to be emitted and is known. Whether it is worth compiling does not depend on the cache."""
 
-    def made() -> Kernel:
+    def written() -> Written:
         emitted, known = forms()
         code = march_code(emitted, inverses)
         worth_it(len(code), effort)
         size, varied = known.size1_in(1), isinstance(emitted, SparseSlopes)
         large = size >= WIDE if varied else key[1:] == () and size * (1 + size) >= WIDE
-        return Kernel(code, known, alone, varied if large else None)
+        return code, known, varied if large else None
 
     if mode() == "off":
         return None
     surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
-    return _kernels((*key, inverses, mode(), effort, *surroundings), lambda: attempted(key[0].thing.name(), made))
+    whole, name = (*key, inverses, mode(), effort, *surroundings), key[0].thing.name()
+    if not ahead:
+        return _kernels(whole, lambda: attempted(name, lambda: Kernel(*_written(whole, written), alone)))
+
+    def code() -> str:
+        text, _, only = _written(whole, written)
+        return _of_lanes(text, alone if only is None else only)
+
+    begin(code, effort, LEVEL)
+    return None
+
+
+def _of_lanes(code: str, alone: bool) -> str:
+    """The C of a single lane or of many."""
+    return "#define LANES 1\n" * alone + code
 
 
 @lru_cache(maxsize=8)
