@@ -276,8 +276,10 @@ def check_reachable(model: Model, name: str, goals: Mapping[str, Sequence[float]
     positive, a forcing without one, a parameter that its description refuses.
 
     Loops that stay open there are left to the family, which ends where they do; a system that is not rebuilt says no
-    more than its forcing.
+    more than its forcing. Descriptions refuse what is not positive: only values across 0 are asked of them, which takes
+    a derivation.
     """
+    own = dict(zip(model.parameter_names, model.parameter_values, strict=True)).get(name)
     for argument, numbers in goals.items():
         for number in {min(numbers), max(numbers)} if len(numbers) else ():
             if not np.isfinite(number):
@@ -286,7 +288,7 @@ def check_reachable(model: Model, name: str, goals: Mapping[str, Sequence[float]
                 raise InputError(f"{argument}: period: must be positive, got {number:g}; check the sign and the unit")
             try:
                 model.check_clock(name, [number])
-                if name in model.parameter_names:
+                if own is not None and own * number <= 0:
                     build_model(system_at(model.system, {name: number}))
             except InputError as error:
                 if error.field in ("joints", "linkage") or (error.field != name and not _rebuilt(model)):
@@ -295,7 +297,7 @@ def check_reachable(model: Model, name: str, goals: Mapping[str, Sequence[float]
 
 
 def _rebuilt(model: Model) -> bool:
-    """Whether the description of a model makes one."""
+    """Whether a model can be made again from its description."""
     try:
         build_model(model.system)
     except InputError:

@@ -146,7 +146,7 @@ class Variations:
 
 
 class Compressed:
-    """Variations of single coordinates, those that do not come to meet carried as a single one, and told apart again.
+    """Variations of single coordinates, those that do not come to meet carried as a single column and told apart again.
 
     In so many steps one comes so far along the structure, its `reach`, and beyond it is round-off: columns whose
     coordinates are twice as far apart are added (A. Curtis, M. Powell, J. Reid, J. Inst. Maths Applics 13 (1974)
@@ -170,7 +170,7 @@ class Compressed:
         self._begin, self.count = begin, count
 
     def begin(self, units: np.ndarray) -> np.ndarray:
-        """What is carried (2n x m), from unit vectors and one of the size of the motion."""
+        """What is carried (2n x m), from unit vectors and a vector of the size of the motion."""
         nothing = np.zeros_like(self._begin)
         seeds = np.block([[self._begin, nothing], [nothing, self._begin]])
         return np.column_stack([seeds, self.told * units])
