@@ -95,9 +95,7 @@ def make_point(
     p, place = curve.equations, solution.place
     about = about or spectrum(curve, solution)
     units = extents(curve, solution.march.states)
-    parts = transitions(curve, solution) * units / units[:, None]
-    grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
-    grown = min(grown, LARGEST)
+    grown = growth(curve, solution, about, units)
     allowed = CLOSURE * grown
     free, shift = freed(curve, place), shift_at(curve, place)
     turns = turned(p.model, np.array(curve.turns), shift)
@@ -142,6 +140,13 @@ def make_point(
         watch=watched(curve, solution),
         **where,
     )
+
+
+def growth(curve: Curve, solution: Solution, about: Spectrum, units: np.ndarray) -> float:
+    """How many times an error in `units` (d) grows until the end of an orbit, at most."""
+    parts = transitions(curve, solution) * units / units[:, None]
+    largest = float(np.abs(about.floquet.multipliers).max(initial=1.0))
+    return min(max(largest, carried(parts, np.ones(units.size))[1]), LARGEST)
 
 
 def action_at(curve: Curve, solution: Solution) -> float:

@@ -18,8 +18,9 @@ from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.families.checks import ALIKE, Probe, Refuted, Sides, check_known
 from orbitfinder.families.critical import Critical, levelled
 from orbitfinder.families.entries import kind_of
-from orbitfinder.families.point import unknowns_of
+from orbitfinder.families.point import extents, growth, unknowns_of
 from orbitfinder.families.saddles import homoclinic_limit, noise_of, saddle_node_limit
+from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import by_series, curve_in, fitted
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.field import vector_field
@@ -193,7 +194,9 @@ def _column(family: Family, curve: Curve, name: str) -> Check:
     worst = at_most("watch", 0.0, 0.0)
     for k, one in enumerate(family.points):
         interrupt.check()
-        known = _watch(curve, one, name) if one.scale <= UNKNOWN else worst
+        known = _watch(curve, one, name)
+        if one.scale > UNKNOWN and np.isnan(known.value) and name in curve.watch:  # nothing is known of its motion
+            continue
         if not known.passed or known.value * worst.tolerance >= worst.value * known.tolerance:
             worst = replace(known, note=known.note or f"at point {k}")
         if not known.passed:
@@ -426,15 +429,16 @@ def point_checks(family: Family, number: int, certificate: Certificate, model: M
         equal("root", point.root, root, "of the map that indices are of"),
         *(replace(_watch(curve, point, name), name=f"watch.{name}") for name in point.watch),
     ]
-    if point.scale <= UNKNOWN:
+    grown = growth(curve, look.solution, spectrum(curve, look.solution), extents(curve, look.solution.march.states))
+    if grown <= UNKNOWN:  # whatever the record says of that
         try:
-            checks += _maps(look, point)
+            checks += _maps(look, point, grown)
         except (ConvergenceError, IntegrationError) as error:
             checks.append(refused("indices", error))
     return Certificate((*certificate.checks, *checks), certificate.scale, certificate.closure)
 
 
-def _maps(look: Probe, point: FamilyPoint) -> Iterator[Check]:
+def _maps(look: Probe, point: FamilyPoint, grown: float) -> Iterator[Check]:
     """The stability indices and the Krein signatures."""
     about, here = look.about, point.indices
     wanted = about.roots if about.conservative else np.zeros(0)
@@ -442,7 +446,7 @@ def _maps(look: Probe, point: FamilyPoint) -> Iterator[Check]:
     if wanted.shape == here.shape:
         gaps = np.abs(here[:, None] - wanted[None, :]) / np.maximum(1.0, np.abs(wanted))
         apart = float(gaps[linear_sum_assignment(gaps)].max(initial=0.0))
-        allowed = ALIKE + 1e-12 * point.scale
+        allowed = ALIKE + 1e-12 * grown
     yield at_most("indices", apart, allowed, "recorded - recomputed, relative")
     signs = look.tour.krein(point.floquet_multipliers)
     own = point.krein or (0,) * len(signs)  # none are recorded of a gait
