@@ -119,6 +119,12 @@ def standing(page: Path) -> dict[str, str]:
     return {part.name: rows[part.heading] for part in PARTS if part.heading in rows}
 
 
+def measured_on(page: Path) -> list[str]:
+    """The machine and the versions that the page names, which a run of some parts leaves as they are."""
+    lines = page.read_text(encoding="utf-8").splitlines() if page.exists() else []
+    return lines[4 : lines.index("", 4)] if len(lines) > 4 else []
+
+
 def assembled(said: dict[str, str], previous: list[str]) -> str:
     """The page over all parts."""
     lines = [
@@ -168,7 +174,8 @@ def main() -> int:
             print(f"{part.name} ...", file=sys.stderr, flush=True)
             said[part.name] = run(part)
             print(f"{part.name}: {said[part.name]}", file=sys.stderr, flush=True)
-    (OUT / "README.md").write_text(assembled(said, conditions(before)), encoding="utf-8")
+    known = measured_on(OUT / "README.md") if chosen != names else []
+    (OUT / "README.md").write_text(assembled(said, known or conditions(before)), encoding="utf-8")
     print(OUT.relative_to(ROOT) / "README.md")
     return 1 if any(said[name].startswith(("failed", "ended")) for name in chosen) else 0
 

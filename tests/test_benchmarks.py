@@ -126,6 +126,7 @@ def test_page_is_put_together(tmp_path, monkeypatch):
     assert {name: run.standing(tmp_path / "README.md")[name] for name in ("good", "bad")} == {
         name: said[name] for name in ("good", "bad")
     } and run.standing(tmp_path / "none.md") == {}
+    assert run.measured_on(tmp_path / "README.md") == ["the machine"] and run.measured_on(tmp_path / "none.md") == []
 
 
 def test_the_breakdown_times_functions_that_are_there():

@@ -211,6 +211,7 @@ def test_a_site_shows_a_map(plane, tmp_path, by):
     assert site.files["maps/plane-b.png"].startswith(b"\x89PNG") and 'src="../maps/plane-b.png"' in page
     assert "Mathieu &amp; friends: map plane &lt;b&gt;" in page and "<b>" not in page
     assert 'href="maps/plane-b.html"' in index and "Maps, families and atlases" in index
+    assert "Each moves in real time" not in index  # nothing does
     verdicts = dict(re.findall(r'<tr><th scope="row">([^<]+)</th><td>(\d+)</td>', page))
     words = np.where(plane.known, np.array(STABILITIES)[plane.verdicts], np.array(BLANK)[plane.blank])
     assert verdicts == {html.escape(word): str((words == word).sum()) for word in np.unique(words)}
