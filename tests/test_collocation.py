@@ -547,6 +547,8 @@ def test_canards_leave_the_range_of_numbers():
         norms.append(np.linalg.norm(left, 2))
     whole, grown = carried(list(pieces), np.ones(3))
     assert np.allclose(whole, left) and grown == pytest.approx(max(norms), rel=1e-13)
+    last = np.diag([2.0, 0.1, 0.1])  # the whole, 1.5 I, is larger by Frobenius' norm alone
+    assert carried([1.5 * np.linalg.inv(last), last], np.ones(3))[1] == pytest.approx(2.0, rel=1e-14)
     assert carried([np.diag([1e200, 1.0])] * 2, np.ones(2))[1] == np.inf
 
 

@@ -284,6 +284,8 @@ def test_continue_follows_a_controlled_problem(tmp_path: Path, capfd: pytest.Cap
         (lambda: of.follow_optima(pick(4.0, 6), "limit force", [1.0]), "is no pin"),
         (lambda: of.follow_optima(pick(4.0, 6), "stiffness"), "give finite values of stiffness, or until"),
         (lambda: of.follow_optima(pick(4.0, 6), "stiffness", [np.nan]), "give finite values"),
+        (lambda: of.follow_optima(maintained(), "mass", until=0.0), "until: mass cannot become 0: "),
+        (lambda: of.follow_optima(maintained(), "period", [-1.0]), "values: period: must be positive, got -1"),
         (lambda: of.follow_optima(pick(4.0, 6), "stiffness", [4.0], points=0), "points: must be at least 1"),
         (lambda: of.follow_optima(pick(4.0, 6, 9.0), "limit force", [-1.0]), "a range cannot end at -1"),
         (lambda: of.Control("u", numbers={"a b": 1.0}), "'a b' cannot be a name"),
