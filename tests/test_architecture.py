@@ -256,7 +256,7 @@ ITERATIONS = {
     "mechanics.newton": "the one: whole, chord and halved steps, closures, equilibria",
     "loops.continued": "families' corrector, with a border whose derivatives are measured on the way",
     "integrate.collocation": "the stages of all steps at once, whose derivatives come with the last solve",
-    "atlas.solver": "Levenberg and Marquardt's, asked at every evaluation whether a start is hopeless or creeps",
+    "atlas.solver": "many side by side, judged by the natural level, each of which may be given up at every evaluation",
     "mechanisms.closing": "the minimal form's steps: an expression graph, whose number of steps is fixed",
     "mechanisms.pose": "a hand pulls to the least distance, which is no zero",
     "structures.sections": "many states at once, each of which may fail alone",

@@ -27,7 +27,7 @@ from orbitfinder.atlas.workers import Pool, Request
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.mechanisms.chain import chain
 
-PARTS, STARTS = 8, 24
+PARTS, STARTS = 8, 32
 
 
 @pytest.fixture(scope="module")
@@ -148,9 +148,9 @@ def test_what_is_wrong_is_refused_and_nothing_is_written(triple, shards, tmp_pat
     of.search(chain(2), -15.0, (0.5, 3.0), foreign, starts=1, workers=0)
     other = tmp_path / "seed.sqlite"
     of.search(triple, ENERGY, PERIODS, other, starts=1, workers=0, seed=1)
-    damaged, newer = copied(shards[0], tmp_path, "damaged.sqlite"), copied(shards[0], tmp_path, "newer.sqlite")
-    lost, torn = copied(shards[0], tmp_path, "lost.sqlite"), tmp_path / "torn.sqlite"
-    torn.write_bytes(shards[0].read_bytes()[:5000])
+    damaged, newer = copied(shards[3], tmp_path, "damaged.sqlite"), copied(shards[3], tmp_path, "newer.sqlite")
+    lost, torn = copied(shards[3], tmp_path, "lost.sqlite"), tmp_path / "torn.sqlite"
+    torn.write_bytes(shards[3].read_bytes()[:5000])
     for path, order in (
         (damaged, "UPDATE orbits SET document = substr(document, 1, 200) WHERE id = 1"),
         (newer, "PRAGMA user_version = 99"),

@@ -253,7 +253,7 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> Course[ClosedLoop
     nodes = closed.nodes
     if problem.boundary.maps:
         ends = yield Marched(context.equations[problem.symmetry], closed)
-        nodes = around(problem, nodes, ends[-1] if problem.boundary.reverses else None)
+        nodes = around(problem, nodes, ends[-1])
     whole = whole_unknowns(plain.march, closed, nodes)
     nodes, times, states = sampled_period(problem, whole, (yield Marched(plain, whole, "states")))
     if (np.ptp(states, axis=0) / context.units).max() < how.smallest:

@@ -1,8 +1,11 @@
-"""Cheap first: damped Newton (Levenberg-Marquardt) on loosely integrated multiple shooting.
+"""Cheap first: damped Newton on loosely integrated multiple shooting, judged by its own corrections.
 
 The equations are built once and used for every start with other numbers; nothing is transcribed, so a hopeless start
-costs a few integrations. Source of the damping: K. Levenberg, Quarterly of Applied Mathematics 2 (1944) 164-168;
-D. Marquardt, SIAM Journal 11 (1963) 431-441.
+costs a few integrations. At F(x) = 0 with Jacobian J the step is x + s dx, J dx = -F(x). It is taken when the natural
+level |J^-1 F| falls by s/4 at least, or |F| itself does, with the same J at both ends: the level sees how far
+an orbit is, where |F| has valleys that damped least squares creep along. How far the next step may go is foretold by
+the simplified correction -J^-1 F(x + s dx); starts of which nothing but very short steps are left are given up. Source:
+P. Deuflhard, Newton Methods for Nonlinear Problems, Springer 2004, chapter 3 (error-oriented descent, NLEQ-ERR).
 
 Beside a nearly degenerate orbit it is an equation in a single unknown, followed along the valley where the others hold.
 There the Jacobian J has a singular value that is far smaller than the rest (a nearly resonant torus, a fold or
@@ -19,7 +22,7 @@ Equilibria, SIAM 2000, chapter 3.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple, cast
@@ -49,10 +52,6 @@ class ClosingSettings:
 
     finer: int = 3
     """the polish begins with steps shorter than the cheap stage's by this factor"""
-    squared_above: float = 1e-6
-    """damping above which the normal equations are accurate enough"""
-    patience: int = 6
-    """evaluations in which the residual must have halved, or it creeps; asked anew after as long again"""
     near: float = 1e-2
     """residual below which a path is near an orbit"""
     narrow: float = 3e-2
@@ -62,9 +61,14 @@ class ClosingSettings:
     most_evaluations: int = 40
     hopeless: tuple[tuple[int, float], ...] = ((12, 1.0), (24, 0.3))
     """(evaluations, residual): given up when it is still larger after so many"""
-    first_damping: float = 1e-2
-    largest_step: float = 1.0
-    """about a radian"""
+    largest_step: float = 0.2
+    """in any component; some ten degrees"""
+    descent: float = 0.25
+    """share of what a linear problem promises, by which the level or the residual must fall"""
+    shorter: float = 0.25
+    """factor of a step that leads out of bounds or of the numbers"""
+    shortest_share: float = 3e-3
+    """of Newton's step; a start that wants less is given up"""
     largest_rate: float = 100.0
     """bound on rates, in units of the guess's root mean square; a step beyond it is not taken"""
     largest_unfolding: float = 100.0
@@ -86,32 +90,22 @@ class ClosingSettings:
         values = np.linalg.svd(jacobian, compute_uv=False)
         return bool(values[-1] < self.narrow * values[-2])
 
-    def steps(self, jacobians: np.ndarray, residuals: np.ndarray, dampings: np.ndarray) -> np.ndarray:
-        """The Levenberg-Marquardt steps (B x K), none longer than `largest_step` in any component; nan of singular
-        equations."""
-        steps, squared = np.empty((len(jacobians), jacobians.shape[2])), dampings > self.squared_above
-        if squared.any():
-            turned = jacobians[squared].swapaxes(1, 2)
-            matrices, across = turned @ jacobians[squared], np.arange(steps.shape[1])
-            matrices[:, across, across] += dampings[squared, None]
-            steps[squared] = -_solved(np.linalg.solve, matrices, turned @ residuals[squared, :, None])[..., 0]
-        for k in np.flatnonzero(~squared):
-            steps[k] = _solved(_least_squares, jacobians[k], -residuals[k])
-        return np.asarray(steps * np.minimum(1.0, self.largest_step / nonzero(np.abs(steps).max(axis=1)))[:, None])
 
-
-def _least_squares(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-13)[0])
-
-
-def _solved(solve: Callable[..., np.ndarray], matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The solution of a system, or of each of several; nan where there is none."""
+def _inverses(jacobians: np.ndarray) -> np.ndarray:
+    """What takes residuals to corrections (B x K x R), of each of several Jacobians (B x R x K); nan if singular."""
+    if jacobians.shape[1] != jacobians.shape[2]:
+        return np.linalg.pinv(jacobians, rcond=1e-13)
     try:
-        return solve(matrix, right)
+        return np.linalg.inv(jacobians)
     except np.linalg.LinAlgError:
-        if matrix.ndim == 2:
-            return np.full(right.shape, np.nan)
-        return np.array([_solved(solve, *system) for system in zip(matrix, right, strict=True)])
+        if len(jacobians) == 1:
+            return np.full(jacobians.shape, np.nan)
+        return np.concatenate([_inverses(each[None]) for each in jacobians])
+
+
+def _norms(rows: np.ndarray) -> np.ndarray:
+    """Euclidean, of each by itself."""
+    return np.asarray(np.sqrt(np.square(rows).sum(axis=1)))
 
 
 class Stalled(ConvergenceError):
@@ -258,7 +252,7 @@ class Closing(Ask):
 
 
 class Rank:
-    """Loops of the same shape in rows: unknowns (B x K), scaled residuals, Jacobians and damping of each.
+    """Loops of the same shape in rows: unknowns (B x K), scaled residuals, Jacobians and Newton's step of each.
 
     What becomes of a row depends on that row alone: matrices are multiplied and solved each by itself.
     """
@@ -282,8 +276,9 @@ class Rank:
         self.values = np.array([[condition.value for condition in each.loop.conditions] for each in scaled])
         self.left, self.answers = np.arange(len(asks)), list[Any]([None]) * len(asks)
         self.residual, self.jacobian = np.full(self.rows.shape, np.inf), np.zeros((*self.rows.shape, self.w.shape[1]))
-        self.damping, self.norms = np.full(len(asks), np.nan), list[np.ndarray]()
-        self.sizes = np.full(len(asks), np.inf)
+        self.inverse = np.zeros(self.jacobian.swapaxes(1, 2).shape)
+        self.sizes, self.share, self.renewed = np.full(len(asks), np.inf), np.ones(len(asks)), np.ones(len(asks), bool)
+        self.step, self.simplified = np.zeros(self.w.shape), np.full(self.w.shape, np.nan)
 
     def end(self, numbers: np.ndarray, why: Exception) -> None:
         """Rows that lead nowhere."""
@@ -298,7 +293,6 @@ class Rank:
     def judge(self, evaluation: int) -> None:
         """Who has arrived, is hopeless or has stalled."""
         how, norm = self.how, np.abs(self.residual).max(axis=1)
-        self.norms.append(norm)
         arrived = norm[self.left] < how.converged
         for k in self.left[arrived]:
             self.answers[k] = self._at(k), self.jacobian[k]
@@ -306,29 +300,35 @@ class Rank:
         for after, most in how.hopeless:
             if evaluation > after:
                 self.end(self.left[norm[self.left] > most], ConvergenceError(GAVE_UP[1]))
-        if evaluation > how.patience and evaluation % how.patience == 0:
-            slow = (norm < how.near) & (norm > self.norms[-1 - how.patience] / 2)
-            for k in self.left[slow[self.left]]:
-                if how.singular(self.jacobian[k]):
-                    self.end(np.array([k]), Stalled(self._at(k)))
+        renewed = self.left[self.renewed[self.left]]
+        if renewed.size:
+            self._correct(renewed)
+        for k in self.left[self.share[self.left] < how.shortest_share]:
+            near = norm[k] < how.near and how.singular(self.jacobian[k])
+            self.end(np.array([k]), Stalled(self._at(k)) if near else ConvergenceError(GAVE_UP[1]))
+
+    def _correct(self, numbers: np.ndarray) -> None:
+        """Newton's steps from where rows are, and what share of them the step before foretells."""
+        inverse, before, simplified = _inverses(self.jacobian[numbers]), self.step[numbers], self.simplified[numbers]
+        step = -(inverse @ self.residual[numbers, :, None])[..., 0]
+        self.inverse[numbers], self.step[numbers], self.renewed[numbers] = inverse, step, False
+        unlike = nonzero(_norms(simplified - step) * _norms(step))
+        foretold = self.share[numbers] * _norms(before) * _norms(simplified) / unlike
+        share = np.minimum(np.where(np.isnan(foretold), self.share[numbers], foretold), 1.0)
+        self.share[numbers] = np.minimum(share, self.how.largest_step / nonzero(np.abs(step).max(axis=1)))
+        self.end(numbers[~np.isfinite(step).all(axis=1)], ConvergenceError("singular equations"))
 
     def trials(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows (b) and where a step leads from them (b x K), the period kept in range; not those beyond bounds."""
         left, how = self.left, self.how
-        steps = how.steps(self.jacobian[left], self.residual[left], self.damping[left])
-        solved = np.isfinite(steps).all(axis=1)
-        self.end(left[~solved], ConvergenceError("singular equations"))
-        left, w = left[solved], (self.w[left] + steps * self.columns[left])[solved]
+        w = self.w[left] + self.share[left, None] * self.step[left] * self.columns[left]
         w[:, self.cut] = np.clip(w[:, self.cut], *self.periods[left].T)
         sizes, n = np.abs(w / self.columns[left]), 0 if self.equations.model.rates is not None else self.size // 2
-        rates = sizes[:, : self.cut].reshape(-1, self.count, self.size)[:, :, n:].reshape(len(left), -1)
-        out = np.any(rates > how.largest_rate, axis=1)
+        rates = sizes[:, : self.cut].reshape(len(left), self.count, self.size)[:, :, n:]
+        out = np.any(rates > how.largest_rate, axis=(1, 2))
         out |= np.any(sizes[:, self.cut + 1 :] > how.largest_unfolding, axis=1)
-        self._refuse(left[out])
+        self.share[left[out]] *= how.shorter
         return left[~out], w[~out]
-
-    def _refuse(self, numbers: np.ndarray) -> None:
-        self.damping[numbers] = np.maximum(10 * self.damping[numbers], 1e-3)
 
     def placed(self, numbers: np.ndarray, w: np.ndarray) -> list[Placed]:
         """Nodes, meshes and tails of rows at w (b x K)."""
@@ -340,22 +340,25 @@ class Rank:
         return list(zip(w[:, : self.cut].reshape(-1, count, self.size), meshes, w[:, self.cut :], strict=True))
 
     def take(self, numbers: np.ndarray, w: np.ndarray, path: Derived) -> None:
-        """What trials have come to: taken where the residual is smaller than before, more damping where not."""
-        finite, first = path.finite, np.isnan(self.damping[numbers])
+        """What trials have come to: taken where the natural level or the residual falls, a shorter step where not."""
+        finite, first = path.finite, np.isinf(self.sizes[numbers])
         if not finite.all():
             self.end(numbers[~finite & first], IntegrationError(LOST))
-            self._refuse(numbers[~finite & ~first])
+            self.share[numbers[~finite & ~first]] *= self.how.shorter
             numbers, w, first, path = numbers[finite], w[finite], first[finite], path.of(finite)
             if not numbers.size:
                 return
         residual, jacobian = self._linearised(numbers, w, path)
-        size = np.sqrt(np.square(residual).sum(axis=1))
-        better, damping = size < self.sizes[numbers], self.damping[numbers]
-        taken = numbers[better]
+        size, share, step = _norms(residual), self.share[numbers], self.step[numbers]
+        simplified = -(self.inverse[numbers] @ residual[..., None])[..., 0]
+        fall, level = 1 - self.how.descent * share, _norms(step)
+        better = first | (_norms(simplified) < fall * level) | (size < fall * self.sizes[numbers])
+        taken, refused = numbers[better], numbers[~better]
         self.w[taken], self.residual[taken], self.jacobian[taken] = w[better], residual[better], jacobian[better]
-        self.sizes[taken] = size[better]
-        less, more = np.where(damping > 1e-9, damping / 10, 0.0), np.maximum(5 * damping, 1e-4)
-        self.damping[numbers] = np.where(first, self.how.first_damping, np.where(better, less, more))
+        self.sizes[taken], self.simplified[taken], self.renewed[taken] = size[better], simplified[better], True
+        self.simplified[numbers[first]] = np.nan  # nothing before it to foretell by
+        bent = nonzero(_norms(simplified - (1 - share)[:, None] * step))
+        self.share[refused] = np.minimum(level * share**2 / (2 * bent), share / 2)[~better]
 
     def _linearised(self, numbers: np.ndarray, w: np.ndarray, path: Derived) -> tuple[np.ndarray, np.ndarray]:
         """Scaled residuals and Jacobians of rows at w (b x K), from the ends of their segments with derivatives."""

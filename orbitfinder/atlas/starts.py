@@ -49,7 +49,7 @@ from orbitfinder.orbits.guesses.modes import normal_modes, resting_place
 
 CYCLES = 3
 """Cycles of a hybrid system that an orbit goes through at most unless told otherwise."""
-METHOD = 2
+METHOD = 3
 """Raised whenever the same number of a start would lead elsewhere than before; part of what a search is."""
 DECLARED = "declared-"
 """In front of the name of a reversal that the system has or declares: such starts begin in its fixed set, look for the
@@ -494,10 +494,12 @@ STRATEGIES: Mapping[str, tuple[str, Callable[[Context, np.random.Generator], np.
 }
 """Name -> (symmetry imposed, proposal of a state on the energy shell)."""
 TURNS = (
-    "recurrence", BRAKE.name, "random", REVERSAL.name, "brake-modes", "recurrence", REFLECTION.name, BRAKE.name,
-    "normal-modes", "recurrence", "random", "brake-modes", "rest-symmetric", BRAKE.name, "recurrence", "centre",
+    "recurrence", BRAKE.name, "brake-modes", "recurrence", BRAKE.name, "rest-symmetric", "recurrence", BRAKE.name,
+    REFLECTION.name, "random", "normal-modes", "recurrence", BRAKE.name, "brake-modes", "recurrence", BRAKE.name,
+    "rest-symmetric", "recurrence", BRAKE.name, REFLECTION.name, "centre", "recurrence", BRAKE.name, "brake-modes",
+    "recurrence", BRAKE.name, "rest-symmetric", "recurrence", BRAKE.name, REFLECTION.name, "random", REVERSAL.name,
 )  # fmt: skip
-"""Strategies in the order of their turns; those with few orbits to find (the most symmetric) have fewer."""
+"""Strategies in the order of their turns; those that led to few new orbits a second have fewer."""
 
 
 def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndarray:

@@ -207,20 +207,21 @@ def provenance(problem: Problem, settings: SolveSettings, began: float) -> dict[
 
 def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) -> np.ndarray:
     """Nodes at equal times over the whole period from those over the symmetric part of it."""
-    symmetry, end = problem.boundary, None
+    symmetry = problem.boundary
     if not symmetry.maps:
         return nodes
-    if symmetry.reverses:
-        horizon = symmetry.fraction * period
-        end = end_of(flow, nodes[-1], (horizon - horizon / len(nodes), horizon), tail_of(flow), STEPS_PER_PERIOD // 16)
+    horizon = symmetry.fraction * period
+    end = end_of(flow, nodes[-1], (horizon - horizon / len(nodes), horizon), tail_of(flow), STEPS_PER_PERIOD // 16)
     return around(problem, nodes, end)
 
 
-def around(problem: Problem, nodes: np.ndarray, end: np.ndarray | None) -> np.ndarray:
-    """The same, of a symmetry, where the motion over the part ends at `end`, None where that does not matter."""
+def around(problem: Problem, nodes: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """The same, of a symmetry, where the motion over the part ends at `end`, which says about which centre it is."""
     symmetry = problem.boundary
-    constant = boundary_constants(problem, nodes, end)
-    if end is None:
+    if symmetry.reverses:
+        constant = boundary_constants(problem, nodes, end)
+    else:
+        constant = symmetry.constants(problem.model.angular, nodes[0], end, problem.winding)
         matrix, moved = symmetry.displaced(constant)
         end = matrix @ nodes[0] + moved
     return symmetry.whole(np.arange(len(nodes) + 1.0), np.vstack([nodes, end]), constant)[1][:-1]
