@@ -27,7 +27,7 @@ from orbitfinder.atlas.workers import Pool, Request
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.mechanisms.chain import chain
 
-PARTS, STARTS = 8, 32
+PARTS, STARTS = 8, 40
 
 
 @pytest.fixture(scope="module")

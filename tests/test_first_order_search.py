@@ -64,9 +64,9 @@ def test_hamiltonian_and_mechanical_search_find_the_same(tmp_path):
 def test_lorenz_attractor_is_complete(tmp_path):
     """Every orbit of up to four letters, once each with its image, and no other, from the problem file's command."""
     book = tmp_path / "lorenz.sqlite"
-    asked = ["search", str(ROOT / "problems/search/lorenz.toml"), "--starts", "120", "--workers", "0", "--atlas"]
+    asked = ["search", str(ROOT / "problems/search/lorenz.toml"), "--starts", "60", "--workers", "0", "--atlas"]
     said = CliRunner().invoke(cli, [*asked, str(book)])
-    assert said.exit_code == 0 and "any energy: 120 starts" in said.output, said.output
+    assert said.exit_code == 0 and "any energy: 60 starts" in said.output, said.output
     with Atlas(book) as atlas:
         orbits = [atlas.orbit(row.id) for row in atlas.rows()]
     periods = sorted([*LORENZ.values(), LORENZ["LLR"], LORENZ["LLLR"]])
@@ -135,13 +135,13 @@ def strobed(x, damping=0.1):
 def test_all_responses_of_a_forced_oscillator(tmp_path):
     """Upper, lower, the unstable one between, as SciPy has the fixed points; resumed, nothing twice."""
     model, beat = of.systems.forced_duffing(**FORCED), 2 * np.pi / 1.6
-    orbits = found(model, None, (0.9 * beat, 3.1 * beat), 24, tmp_path)
+    orbits = found(model, None, (0.9 * beat, 3.1 * beat), 36, tmp_path)
     fixed = {tuple(np.round(fsolve(lambda x: strobed(x) - x, one.state), 8)) for one in orbits}
     assert len(orbits) == len(fixed) == 3
     for one in orbits:
         assert one.period == pytest.approx(beat, rel=1e-14) and np.abs(strobed(one.state) - one.state).max() < 1e-9
     assert [one.stability for one in orbits].count("unstable") == 1
-    assert len(found(model, None, (0.9 * beat, 3.1 * beat), 32, tmp_path)) == 3
+    assert len(found(model, None, (0.9 * beat, 3.1 * beat), 48, tmp_path)) == 3
 
 
 def test_a_grid_of_parameters_is_searched_into_a_single_atlas(tmp_path):

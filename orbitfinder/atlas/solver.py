@@ -59,10 +59,10 @@ class ClosingSettings:
     converged: float = 1e-6
     """residual at which the polish takes over"""
     most_evaluations: int = 40
-    hopeless: tuple[tuple[int, float], ...] = ((12, 1.0), (24, 0.3))
-    """(evaluations, residual): given up when it is still larger after so many"""
-    largest_step: float = 0.2
-    """in any component; some ten degrees"""
+    hopeless: tuple[int, float] = (24, 1.0)
+    """evaluations and residual: given up when it is still larger after so many"""
+    largest_step: float = 0.5
+    """in any component; half a radian"""
     descent: float = 0.25
     """share of what a linear problem promises, by which the level or the residual must fall"""
     shorter: float = 0.25
@@ -297,9 +297,8 @@ class Rank:
         for k in self.left[arrived]:
             self.answers[k] = self._at(k), self.jacobian[k]
         self.left = self.left[~arrived]
-        for after, most in how.hopeless:
-            if evaluation > after:
-                self.end(self.left[norm[self.left] > most], ConvergenceError(GAVE_UP[1]))
+        if evaluation > how.hopeless[0]:
+            self.end(self.left[norm[self.left] > how.hopeless[1]], ConvergenceError(GAVE_UP[1]))
         renewed = self.left[self.renewed[self.left]]
         if renewed.size:
             self._correct(renewed)
