@@ -287,6 +287,33 @@ def test_what_round_off_hides_in_the_valley_is_polished(elastic, monkeypatch):
     assert alone(solver.polished(scaled, there, jacobian)).period == pytest.approx(found.period, rel=1e-12)
 
 
+def test_steps_are_judged_by_the_natural_level(one, monkeypatch):
+    """Orbits are reached over hills of |F|, where Newton's own corrections fall; hopeless starts end early."""
+    sizes, take = [], solver.Rank.take
+
+    def taking(rank, numbers, w, path):
+        take(rank, numbers, w, path)
+        sizes.append(float(rank.sizes[0]))
+
+    monkeypatch.setattr(solver.Rank, "take", taking)
+    climbed, given_up = 0, []
+    for k in range(12):
+        sizes.clear()
+        made = perform(one, 0, [Job(k)], [])[0]
+        climbed += made.orbit is not None and bool(np.any(np.diff(sizes) > 0))
+        given_up += [len(sizes)] if made.reason == "hopeless start" else []
+    assert climbed >= 2 and len(given_up) > 3 and np.median(given_up) < 12
+
+
+def test_singular_and_oblong_jacobians_have_their_corrections():
+    regular, singular = np.array([[2.0, 1.0], [0.0, 4.0]]), np.array([[1.0, 2.0], [2.0, 4.0]])
+    both = solver._inverses(np.array([regular, singular]))
+    np.testing.assert_allclose(both[0], np.linalg.inv(regular), rtol=1e-15)
+    assert np.isnan(both[1]).all()
+    oblong = np.array([[[3.0, 0.0, 0.0], [0.0, 2.0, 0.0]]])
+    np.testing.assert_allclose(solver._inverses(oblong)[0], [[1 / 3, 0], [0, 1 / 2], [0, 0]], atol=1e-15)
+
+
 def test_a_symmetric_motion_is_about_the_centre_that_it_has(one):
     """Mirrored about hanging, though its nodes lie nearer to an upright last link: half a period on it is where the
     mirror of its beginning is, not a turn away."""

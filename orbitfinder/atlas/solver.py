@@ -1,8 +1,8 @@
 """Cheap first: damped Newton on loosely integrated multiple shooting, judged by its own corrections.
 
 The equations are built once and used for every start with other numbers; nothing is transcribed, so a hopeless start
-costs a few integrations. At F(x) = 0 with Jacobian J the step is x + s dx, J dx = -F(x). It is taken when the natural
-level |J^-1 F| falls by s/4 at least, or |F| itself does, with the same J at both ends: the level sees how far
+costs a few integrations. At F(x) = 0 with Jacobian J the step is x + s dx, J dx = -F(x). It is taken when |F| falls by
+s/4 at least, or the natural level |J^-1 F| does, with the J of where the step began at both ends: that sees how far
 an orbit is, where |F| has valleys that damped least squares creep along. How far the next step may go is foretold by
 the simplified correction -J^-1 F(x + s dx); starts of which nothing but very short steps are left are given up. Source:
 P. Deuflhard, Newton Methods for Nonlinear Problems, Springer 2004, chapter 3 (error-oriented descent, NLEQ-ERR).
