@@ -209,7 +209,10 @@ def context_of(model: Model, target: Target) -> Context:
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
     chosen = {name: SYMMETRIES[name] for name in known if name in imposed}
     chosen |= {reversal.name: Symmetry((reversal,)) for reversal in own.values()}
-    turns = (*(name for name in TURNS if possible(name, known)), *own, *(own if len(own) == 1 else ()))
+    half = len(TURNS) // 2
+    each = [tuple(name for name in part if possible(name, known)) for part in (TURNS[:half], TURNS[half:])]
+    declares = (*own, *(own if len(own) == 1 else ()))
+    turns = (*each[0], *declares, *each[1], *declares)
     return _ready(
         Context(model, target, place, normal_modes(model, place)[1], turns, lengths, declared=own), chosen, origin
     )
