@@ -719,6 +719,7 @@ def test_a_robot_is_seen_by_its_solids_the_nearer_before_the_farther(browser, sp
         const [low, high] = [Math.min, Math.max].map(end => at.reduce((a, b) => end(a, b)));
         const rows = [...new Uint32Array(s.dots.data.buffer)].flatMap((dot, k) => dot ? [Math.floor(k / w)] : []);
         return [w, s.dots.height, at.length, low, high, rows[0], rows.at(-1)]"""
+    wait(browser, f"{SEEN} return Boolean(s.dots)")
     wide, high, dots, left, right, top, bottom = browser.execute_script(seen)
     assert 0 < left < right < wide - 1 and 0 < top < bottom < high - 1
     assert 0.03 < dots / (wide * high) < 0.5 and browser.get_log("browser") == []
