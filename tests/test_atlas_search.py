@@ -259,12 +259,20 @@ def test_nearly_degenerate_orbits_are_reached(elastic, number, period, instabili
     assert np.abs(found.floquet_multipliers).max() == pytest.approx(instability, rel=1e-9)
 
 
-def test_the_valley_is_followed_to_a_zero(elastic, monkeypatch):
-    """From a state that stalled: the residual falls to round-off; without steps to take, `Stalled`."""
+@pytest.fixture
+def stalled(elastic, monkeypatch):
+    """What the valley was entered with, and the orbit that it led to."""
     seen = []
     monkeypatch.setattr(refine, "orbit_in_valley", lambda *given: seen.append(given) or solver.orbit_in_valley(*given))
-    assert perform(context_of(elastic, Target(-8.5, (0.5, 8.0))), 0, [Job(385)], [])[0].orbit is not None
+    orbit = perform(context_of(elastic, Target(-8.5, (0.5, 8.0))), 0, [Job(385)], [])[0].orbit
     (given,) = seen
+    return given, orbit
+
+
+def test_the_valley_is_followed_to_a_zero(stalled):
+    """From a state that stalled: the residual falls to round-off; without steps to take, `Stalled`."""
+    given, orbit = stalled
+    assert orbit is not None
     fine = replace(given[0], step=alone(solver.fine_step(*given[:2])))
     path, jacobian = alone(solver.orbit_in_valley(*given))
     values = np.linalg.svd(jacobian, compute_uv=False)
@@ -272,19 +280,17 @@ def test_the_valley_is_followed_to_a_zero(elastic, monkeypatch):
                                                                     for w in (path, given[1])]))  # fmt: skip
     assert np.abs(left).max() < 1e-12 and values[-1] < 1e-2 * values[-2] and np.abs(before).max() > 1e-7
     lost = replace(given[0], settings=replace(given[0].settings, most_trials=0))
-    with pytest.raises(ConvergenceError, match="stalled near a degenerate orbit") as stalled:
+    with pytest.raises(ConvergenceError, match="stalled near a degenerate orbit") as again:
         alone(solver.orbit_in_valley(lost, *given[1:]))
-    assert stalled.value.w.nodes.shape == path.nodes.shape
+    assert again.value.w.nodes.shape == path.nodes.shape
 
 
-def test_what_round_off_hides_in_the_valley_is_polished(elastic, monkeypatch):
+def test_what_round_off_hides_in_the_valley_is_polished(stalled):
     """Where the regular equations are to hold to less than round-off, the polish takes over and comes to the orbit."""
-    seen = []
-    monkeypatch.setattr(refine, "orbit_in_valley", lambda *given: seen.append(given) or solver.orbit_in_valley(*given))
-    found = perform(context_of(elastic, Target(-8.5, (0.5, 8.0))), 0, [Job(385)], [])[0].orbit
-    scaled = replace(seen[0][0], settings=replace(seen[0][0].settings, round_off=0.0))
-    there, jacobian = alone(solver.orbit_in_valley(scaled, *seen[0][1:]))
-    assert alone(solver.polished(scaled, there, jacobian)).period == pytest.approx(found.period, rel=1e-12)
+    (scaled, *rest), orbit = stalled
+    scaled = replace(scaled, settings=replace(scaled.settings, round_off=0.0))
+    there, jacobian = alone(solver.orbit_in_valley(scaled, *rest))
+    assert alone(solver.polished(scaled, there, jacobian)).period == pytest.approx(orbit.period, rel=1e-12)
 
 
 def test_steps_are_judged_by_the_natural_level(one, monkeypatch):
@@ -303,6 +309,12 @@ def test_steps_are_judged_by_the_natural_level(one, monkeypatch):
         climbed += made.orbit is not None and bool(np.any(np.diff(sizes) > 0))
         given_up += [len(sizes)] if made.reason == "hopeless start" else []
     assert climbed >= 2 and len(given_up) > 3 and np.median(given_up) < 12
+
+
+def test_a_step_out_of_bounds_is_made_shorter_until_it_is_none(one, monkeypatch):
+    narrow = solver.ClosingSettings(largest_rate=1e-9)
+    monkeypatch.setattr(refine, "scaled_loop", lambda *given: replace(solver.scaled_loop(*given), settings=narrow))
+    assert perform(one, 0, [Job(5)], [])[0].reason == "hopeless start"
 
 
 def test_singular_and_oblong_jacobians_have_their_corrections():

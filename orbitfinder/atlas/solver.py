@@ -105,7 +105,7 @@ def _inverses(jacobians: np.ndarray) -> np.ndarray:
 
 def _norms(rows: np.ndarray) -> np.ndarray:
     """Euclidean, of each by itself."""
-    return np.asarray(np.sqrt(np.square(rows).sum(axis=1)))
+    return np.asarray(np.linalg.norm(rows, axis=1))
 
 
 class Stalled(ConvergenceError):
@@ -276,9 +276,9 @@ class Rank:
         self.values = np.array([[condition.value for condition in each.loop.conditions] for each in scaled])
         self.left, self.answers = np.arange(len(asks)), list[Any]([None]) * len(asks)
         self.residual, self.jacobian = np.full(self.rows.shape, np.inf), np.zeros((*self.rows.shape, self.w.shape[1]))
-        self.inverse = np.zeros(self.jacobian.swapaxes(1, 2).shape)
+        self.inverse = np.full(self.jacobian.swapaxes(1, 2).shape, np.nan)  # of nothing: it foretells nothing
         self.sizes, self.share, self.renewed = np.full(len(asks), np.inf), np.ones(len(asks)), np.ones(len(asks), bool)
-        self.step, self.simplified = np.zeros(self.w.shape), np.full(self.w.shape, np.nan)
+        self.step, self.simplified = np.zeros(self.w.shape), np.zeros(self.w.shape)
 
     def end(self, numbers: np.ndarray, why: Exception) -> None:
         """Rows that lead nowhere."""
@@ -355,7 +355,6 @@ class Rank:
         taken, refused = numbers[better], numbers[~better]
         self.w[taken], self.residual[taken], self.jacobian[taken] = w[better], residual[better], jacobian[better]
         self.sizes[taken], self.simplified[taken], self.renewed[taken] = size[better], simplified[better], True
-        self.simplified[numbers[first]] = np.nan  # nothing before it to foretell by
         bent = nonzero(_norms(simplified - (1 - share)[:, None] * step))
         self.share[refused] = np.minimum(level * share**2 / (2 * bent), share / 2)[~better]
 

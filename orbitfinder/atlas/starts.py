@@ -209,10 +209,9 @@ def context_of(model: Model, target: Target) -> Context:
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
     chosen = {name: SYMMETRIES[name] for name in known if name in imposed}
     chosen |= {reversal.name: Symmetry((reversal,)) for reversal in own.values()}
-    half = len(TURNS) // 2
-    each = [tuple(name for name in part if possible(name, known)) for part in (TURNS[:half], TURNS[half:])]
-    declares = (*own, *(own if len(own) == 1 else ()))
-    turns = (*each[0], *declares, *each[1], *declares)
+    half, declares = len(TURNS) // 2, (*own, *(own if len(own) == 1 else ()))
+    turns = (*TURNS[:half], *declares, *TURNS[half:], *declares)
+    turns = tuple(name for name in turns if name in own or possible(name, known))
     return _ready(
         Context(model, target, place, normal_modes(model, place)[1], turns, lengths, declared=own), chosen, origin
     )
