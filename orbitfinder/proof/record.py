@@ -290,5 +290,5 @@ COMPARED: dict[str, Same] = {
     "stability_reason": _same_words,
 }
 """What a replay compares, which is all that a record claims, and how; the rest says how it was made and when."""
-ENCLOSED = {name for name, same in COMPARED.items() if same in (holds, holds_each, _wider)}
-"""What smaller balls may still prove"""
+ENCLOSED = {name for name, same in COMPARED.items() if same in (holds, holds_each, _wider, bounding)}
+"""What a further round of the proof, in smaller balls and with longer series, may still bear out"""

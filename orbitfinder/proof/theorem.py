@@ -211,24 +211,28 @@ def _prove(
     pieces = plural(start.formulation.segments, "segment")
     say(f"Newton settled in {plural(rounds, 'iteration')}; integrating {pieces} of a box")
     contracted = enclosed(lambda box: krawczyk(equations, box, options), centre, say)
-    path, rounds = horizon(equations, contracted.image, contracted.arcs), 0
+    path, contraction, rounds = horizon(equations, contracted.image, contracted.arcs), contracted.contraction, 0
+    contested = False
     coarse = replace(options, tolerance=max(options.tolerance, 1e-13), share=0.9)  # for the multipliers
     while True:
         if verdict(path).verdict != "open" or rounds > SHARPENINGS:
             try:
                 proof = Proof(
                     True, "", symmetry.name, options, 0.0, steps=sum(len(arc[3]) for arc in contracted.arcs),
-                    radius=radius(contracted.box), contraction=contracted.contraction, energy=equations.energy,
+                    radius=radius(contracted.box), contraction=contraction, energy=equations.energy,
                     **conclusions(orbit, model, codes, path, start, options),
                 )  # fmt: skip
                 if rounds > 2 * SHARPENINGS or enough(proof):
                     return proof
+                contested = True
             except NotProved:
                 if rounds > SHARPENINGS:
                     raise
         say(f"multipliers or recorded balls open in a box of radius {radius(path.box):.1g}; once more in a smaller one")
         with precision(options.bits + 32 * rounds):
             path = trajectory(equations, path.box, finer(options, rounds) if rounds else coarse)
+            if rounds and contested:
+                contraction = min(contraction, krawczyk(equations, contracted.box, finer(options, rounds)).contraction)
         rounds += 1
 
 
