@@ -299,16 +299,40 @@ def test_steps_are_judged_by_the_natural_level(one, monkeypatch):
 
     def taking(rank, numbers, w, path):
         take(rank, numbers, w, path)
-        sizes.append(float(rank.sizes[0]))
+        sizes.append(float(np.linalg.norm(rank.residual[0])))
 
     monkeypatch.setattr(solver.Rank, "take", taking)
     climbed, given_up = 0, []
-    for k in range(12):
+    for k in range(20):
         sizes.clear()
         made = perform(one, 0, [Job(k)], [])[0]
         climbed += made.orbit is not None and bool(np.any(np.diff(sizes) > 0))
         given_up += [len(sizes)] if made.reason == "hopeless start" else []
     assert climbed >= 2 and len(given_up) > 3 and np.median(given_up) < 12
+
+
+def test_only_what_is_along_the_weakest_direction_is_cut(one, monkeypatch):
+    """Newton's steps are too long along one singular vector of the Jacobian; the rest of them stays as it is."""
+    cut, trials = [], solver.Rank.trials
+
+    def trying(rank):
+        for k in rank.left[np.any(rank.step[rank.left] != rank.newton[rank.left], axis=1)]:
+            weakest, off = np.linalg.svd(rank.jacobian[k])[2][-1], rank.newton[k] - rank.step[k]
+            along = abs(float(off @ weakest)) / np.linalg.norm(off)
+            cut.append(
+                (along, float(np.linalg.norm(rank.newton[k])), abs(float(rank.step[k] @ off)) / np.linalg.norm(off))
+            )
+        return trials(rank)
+
+    monkeypatch.setattr(solver.Rank, "trials", trying)
+    perform(one, 0, [Job(k) for k in range(24)], [])
+    along, newton, left = np.array(cut).T
+    assert len(cut) > 20 and np.median(along) > 0.99 and np.all(newton > 0.5) and np.all(left < 0.5 + 1e-9)
+    random = np.random.default_rng(0)
+    vectors = np.linalg.qr(random.normal(size=(4, 5, 5)))[0]
+    matrices = vectors * np.array([3.0, 2.0, 1.0, 0.5, 1e-3]) @ np.linalg.qr(random.normal(size=(4, 5, 5)))[0]
+    known = np.linalg.svd(matrices)[2][:, -1]
+    np.testing.assert_allclose(np.abs((solver._weakest(np.linalg.inv(matrices), 2) * known).sum(axis=1)), 1, atol=1e-9)
 
 
 def test_a_step_out_of_bounds_is_made_shorter_until_it_is_none(one, monkeypatch):

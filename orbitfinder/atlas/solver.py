@@ -1,11 +1,14 @@
 """Cheap first: damped Newton on loosely integrated multiple shooting, judged by its own corrections.
 
 The equations are built once and used for every start with other numbers; nothing is transcribed, so a hopeless start
-costs a few integrations. At F(x) = 0 with Jacobian J the step is x + s dx, J dx = -F(x). It is taken when |F| falls by
-s/4 at least, or the natural level |J^-1 F| does, with the J of where the step began at both ends: that sees how far
-an orbit is, where |F| has valleys that damped least squares creep along. How far the next step may go is foretold by
-the simplified correction -J^-1 F(x + s dx); starts of which nothing but very short steps are left are given up. Source:
-P. Deuflhard, Newton Methods for Nonlinear Problems, Springer 2004, chapter 3 (error-oriented descent, NLEQ-ERR).
+costs a few integrations. At F(x) = 0 with Jacobian J the step is x + s dx, where dx is Newton's -J^-1 F(x), its part
+along the singular vector of J's least singular value cut to the longest step: near folds and tori it is that part alone
+that is far too long, and the others need not wait for it. A step is taken when |F| falls by a quarter at least of what
+it would in a linear problem, or the natural level |J^-1 F| does, with the J of where the step began at both ends: that
+sees how far an orbit is, where |F| has valleys that damped least squares creep along. How far the next step may go is
+foretold by the simplified correction -J^-1 F(x + s dx); starts of which nothing but very short steps are left are given
+up. Source: P. Deuflhard, Newton Methods for Nonlinear Problems, Springer 2004, chapter 3 (error-oriented descent,
+NLEQ-ERR), which does not cut.
 
 Beside a nearly degenerate orbit it is an equation in a single unknown, followed along the valley where the others hold.
 There the Jacobian J has a singular value that is far smaller than the rest (a nearly resonant torus, a fold or
@@ -62,13 +65,15 @@ class ClosingSettings:
     hopeless: tuple[int, float] = (24, 1.0)
     """evaluations and residual: given up when it is still larger after so many"""
     largest_step: float = 0.5
-    """in any component; half a radian"""
+    """in any component, and along the weakest direction; half a radian"""
+    powers: int = 2
+    """steps of the power method to the weakest direction: where it is far weaker than the others, that tells it"""
     descent: float = 0.25
     """share of what a linear problem promises, by which the level or the residual must fall"""
     shorter: float = 0.25
     """factor of a step that leads out of bounds or of the numbers"""
-    shortest_share: float = 3e-3
-    """of Newton's step; a start that wants less is given up"""
+    shortest_share: float = 3e-2
+    """of a step; a start that wants less is given up"""
     largest_rate: float = 100.0
     """bound on rates, in units of the guess's root mean square; a step beyond it is not taken"""
     largest_unfolding: float = 100.0
@@ -101,6 +106,16 @@ def _inverses(jacobians: np.ndarray) -> np.ndarray:
         if len(jacobians) == 1:
             return np.full(jacobians.shape, np.nan)
         return np.concatenate([_inverses(each[None]) for each in jacobians])
+
+
+def _weakest(inverses: np.ndarray, rounds: int) -> np.ndarray:
+    """Unit vectors (B x K) that matrices move least, by their inverses (B x K x R) and the power method."""
+    vectors = np.ones((*inverses.shape[:2], 1))
+    for _ in range(rounds):
+        for turned in (inverses.swapaxes(1, 2), inverses):
+            vectors = turned @ vectors
+            vectors = vectors / nonzero(np.linalg.norm(vectors, axis=1, keepdims=True))
+    return vectors[..., 0]
 
 
 def _norms(rows: np.ndarray) -> np.ndarray:
@@ -260,7 +275,7 @@ class Rank:
     def __init__(self, asks: Sequence[Closing]) -> None:
         scaled = [ask.scaled for ask in asks]
         self.asks, self.how, self.equations = asks, scaled[0].settings, scaled[0].loop.equations
-        self.fractions = [each.loop.equations.symmetry.fraction for each in scaled]
+        self.fractions = np.array([each.loop.equations.symmetry.fraction for each in scaled])
         known = {id(each.loop.equations): each.loop.equations.boundary for each in scaled}
         self.first, self.last = (np.array([known[id(each.loop.equations)][k] for each in scaled]) for k in (0, 1))
         self.count, self.size = asks[0].w.nodes.shape
@@ -275,10 +290,10 @@ class Rank:
         self.conditions = scaled[0].loop.conditions
         self.values = np.array([[condition.value for condition in each.loop.conditions] for each in scaled])
         self.left, self.answers = np.arange(len(asks)), list[Any]([None]) * len(asks)
-        self.residual, self.jacobian = np.full(self.rows.shape, np.inf), np.zeros((*self.rows.shape, self.w.shape[1]))
+        self.residual, self.jacobian = np.zeros(self.rows.shape), np.zeros((*self.rows.shape, self.w.shape[1]))
         self.inverse = np.full(self.jacobian.swapaxes(1, 2).shape, np.nan)  # of nothing: it foretells nothing
-        self.sizes, self.share, self.renewed = np.full(len(asks), np.inf), np.ones(len(asks)), np.ones(len(asks), bool)
-        self.step, self.simplified = np.zeros(self.w.shape), np.zeros(self.w.shape)
+        self.share, self.renewed = np.ones(len(asks)), np.ones(len(asks), bool)
+        self.newton, self.step, self.simplified = (np.zeros(self.w.shape) for _ in range(3))
 
     def end(self, numbers: np.ndarray, why: Exception) -> None:
         """Rows that lead nowhere."""
@@ -307,14 +322,17 @@ class Rank:
             self.end(np.array([k]), Stalled(self._at(k)) if near else ConvergenceError(GAVE_UP[1]))
 
     def _correct(self, numbers: np.ndarray) -> None:
-        """Newton's steps from where rows are, and what share of them the step before foretells."""
+        """Newton's steps from where rows are, cut, and what share of them the step before foretells."""
         inverse, before, simplified = _inverses(self.jacobian[numbers]), self.step[numbers], self.simplified[numbers]
-        step = -(inverse @ self.residual[numbers, :, None])[..., 0]
-        self.inverse[numbers], self.step[numbers], self.renewed[numbers] = inverse, step, False
+        newton, weakest = -(inverse @ self.residual[numbers, :, None])[..., 0], _weakest(inverse, self.how.powers)
+        along, most = (weakest * newton).sum(axis=1, keepdims=True), self.how.largest_step
+        step = newton - (along - np.clip(along, -most, most)) * weakest
+        self.inverse[numbers], self.newton[numbers], self.step[numbers] = inverse, newton, step
+        self.renewed[numbers] = False
         unlike = nonzero(_norms(simplified - step) * _norms(step))
         foretold = self.share[numbers] * _norms(before) * _norms(simplified) / unlike
         share = np.minimum(np.where(np.isnan(foretold), self.share[numbers], foretold), 1.0)
-        self.share[numbers] = np.minimum(share, self.how.largest_step / nonzero(np.abs(step).max(axis=1)))
+        self.share[numbers] = np.minimum(share, most / nonzero(np.abs(step).max(axis=1)))
         self.end(numbers[~np.isfinite(step).all(axis=1)], ConvergenceError("singular equations"))
 
     def trials(self) -> tuple[np.ndarray, np.ndarray]:
@@ -331,16 +349,22 @@ class Rank:
 
     def placed(self, numbers: np.ndarray, w: np.ndarray) -> list[Placed]:
         """Nodes, meshes and tails of rows at w (b x K)."""
-        step, count, shares = self.asks[0].scaled.step, self.count, [self.fractions[k] for k in numbers]
+        step, count, shares = self.asks[0].scaled.step, self.count, self.fractions[numbers].tolist()
         meshes = [
             _mesh(fraction, count, rounded(period * fraction / count / step))
             for fraction, period in zip(shares, w[:, self.cut].tolist(), strict=True)
         ]
         return list(zip(w[:, : self.cut].reshape(-1, count, self.size), meshes, w[:, self.cut :], strict=True))
 
+    def edges(self, numbers: np.ndarray) -> np.ndarray:
+        """Where the segments of rows begin and end (bN x 2), in periods."""
+        begins = np.arange(self.count)
+        shares = self.fractions[numbers, None, None] / self.count
+        return np.asarray(shares * np.stack([begins, begins + 1], axis=1)).reshape(-1, 2)
+
     def take(self, numbers: np.ndarray, w: np.ndarray, path: Derived) -> None:
         """What trials have come to: taken where the natural level or the residual falls, a shorter step where not."""
-        finite, first = path.finite, np.isinf(self.sizes[numbers])
+        finite, first = path.finite, np.isnan(self.inverse[numbers, 0, 0])
         if not finite.all():
             self.end(numbers[~finite & first], IntegrationError(LOST))
             self.share[numbers[~finite & ~first]] *= self.how.shorter
@@ -348,15 +372,21 @@ class Rank:
             if not numbers.size:
                 return
         residual, jacobian = self._linearised(numbers, w, path)
-        size, share, step = _norms(residual), self.share[numbers], self.step[numbers]
+        share, step, newton = self.share[numbers], self.step[numbers], self.newton[numbers]
         simplified = -(self.inverse[numbers] @ residual[..., None])[..., 0]
-        fall, level = 1 - self.how.descent * share, _norms(step)
-        better = first | (_norms(simplified) < fall * level) | (size < fall * self.sizes[numbers])
+        linear = newton - share[:, None] * step  # what that would be in a linear problem, and the residual
+        left = self.residual[numbers] + share[:, None] * (self.jacobian[numbers] @ step[..., None])[..., 0]
+        better = self._falls(simplified, newton, linear) | self._falls(residual, self.residual[numbers], left) | first
         taken, refused = numbers[better], numbers[~better]
         self.w[taken], self.residual[taken], self.jacobian[taken] = w[better], residual[better], jacobian[better]
-        self.sizes[taken], self.simplified[taken], self.renewed[taken] = size[better], simplified[better], True
-        bent = nonzero(_norms(simplified - (1 - share)[:, None] * step))
-        self.share[refused] = np.minimum(level * share**2 / (2 * bent), share / 2)[~better]
+        self.simplified[taken], self.renewed[taken] = (simplified - (newton - step))[better], True
+        bent = nonzero(_norms(simplified - linear))
+        self.share[refused] = np.minimum(_norms(step) * share**2 / (2 * bent), share / 2)[~better]
+
+    def _falls(self, now: np.ndarray, before: np.ndarray, linear: np.ndarray) -> np.ndarray:
+        """Whether rows fall by enough of what they would in a linear problem."""
+        size = _norms(before)
+        return np.asarray(_norms(now) < size - self.how.descent * (size - _norms(linear)))
 
     def _linearised(self, numbers: np.ndarray, w: np.ndarray, path: Derived) -> tuple[np.ndarray, np.ndarray]:
         """Scaled residuals and Jacobians of rows at w (b x K), from the ends of their segments with derivatives."""
@@ -422,8 +452,7 @@ def _evaluated(trials: Sequence[tuple[Rank, np.ndarray, np.ndarray]]) -> None:
         march, counts = equations.march.arcs[0], [len(nodes) for nodes, _, _ in loops]
         last, _ = march.beside(True, loops)
         nodes, tails = np.concatenate([nodes for nodes, _, _ in loops]), np.array([tail for _, _, tail in loops])
-        edges = np.concatenate([np.stack([mesh[: -1 : k], mesh[k::k]], axis=1) for nodes, mesh, _ in loops
-                                for k in [(mesh.size - 1) // len(nodes)]])  # fmt: skip
+        edges = np.concatenate([rank.edges(numbers) for rank, numbers, _ in each])
         tails = np.repeat(tails, counts, axis=0)
         segments = [part[:, 0] for part in march.derivatives(nodes[:, None], last, edges, tails)]
         begins = np.cumsum([0, *counts])[:-1]

@@ -427,9 +427,12 @@ def at_rest(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarra
 
     unit = np.linalg.norm(direction / context.lengths)
     lengths = np.linspace(0.0, 2 * np.pi, 64) / unit
-    above = next((length for length in lengths if excess(length) > 0), None)
-    if above is None:
+    march, given = context.equations[NONE.name].march.arcs[0], context.model.parameter_values[None]
+    levels = march.along(context.model.potential, q + lengths[:, None] * direction, given).ravel()
+    beyond = lengths[levels > context.target.energy]
+    if not beyond.size:
         raise ConvergenceError("the ray does not meet the energy")
+    above = float(beyond[0])
     root = brentq(excess, above - lengths[1], above, xtol=1e-14 * np.linalg.norm(direction) / unit)
     return np.concatenate([q + root * direction, np.zeros(q.size)])
 

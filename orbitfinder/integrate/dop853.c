@@ -207,15 +207,18 @@ int stepped(ptrdiff_t count, ptrdiff_t n, const double *times, const double *sta
   return 0;
 }
 
+#define BESIDE 8 /* moments whose polynomials are evaluated together */
+
 /* How far rates at increasing `moments` (count), each within a `step`, are off the slope there of the polynomial of degree
    seven through values and slopes (known x n) at the four times about it. Returns as `rates` does. */
 int strayed(ptrdiff_t count, ptrdiff_t known, ptrdiff_t n, const double *times, const double *values,
             const double *slopes, const ptrdiff_t *step, const double *moments, const double *units, const double *freed,
             double *off) {
   Call call;
-  double z[8], *c = malloc(11 * n * sizeof(double) + 64), *value = c + 8 * n, *slope = value + n, *rate = slope + n;
+  double z[8], *c = malloc(n * (9 + 2 * BESIDE) * sizeof(double) + 64), *value = c + 8 * n, *slope = value + n * BESIDE;
+  double *rate = slope + n * BESIDE;
   if (!c || prepared(&call, n, units, freed)) { free(c); return 1; }
-  for (ptrdiff_t m = 0; m < count; m++) {
+  for (ptrdiff_t m = 0, some; m < count; m += some) {
     if (!m || step[m] != step[m - 1]) {
       ptrdiff_t first = step[m] - 1 > known - 4 ? known - 4 : step[m] - 1;
       if (first < 0) first = 0;
@@ -229,19 +232,26 @@ int strayed(ptrdiff_t count, ptrdiff_t known, ptrdiff_t n, const double *times, 
           : order == 1 ? slopes[(first + j / 2) * n + i] : 0.0;
       }
     }
-    EACH value[i] = c[7 * n + i], slope[i] = 0.0;
-    for (int order = 6; order >= 0; order--) {
-      double ahead = moments[m] - z[order];
-      EACH {
-        slope[i] = slope[i] * ahead + value[i];
-        value[i] = value[i] * ahead + c[order * n + i];
-      }
-    }
-    rates_at(&call, moments[m], value, rate);
-    off[m] = 0.0;
+    for (some = 1; some < BESIDE && m + some < count && step[m + some] == step[m]; some++) {}
+    double ahead[7][BESIDE];
+    for (int order = 0; order < 7; order++) for (int l = 0; l < BESIDE; l++)
+      ahead[order][l] = moments[m + (l < some ? l : 0)] - z[order];
     EACH {
-      double apart = fabs(rate[i] - slope[i]);
-      if (!(apart <= off[m])) off[m] = apart == apart ? apart : INFINITY;
+      double x[BESIDE], v[BESIDE];
+      for (int l = 0; l < BESIDE; l++) x[l] = c[7 * n + i], v[l] = 0.0;
+      for (int order = 6; order >= 0; order--) {
+        const double next = c[order * n + i];
+        for (int l = 0; l < BESIDE; l++) v[l] = v[l] * ahead[order][l] + x[l], x[l] = x[l] * ahead[order][l] + next;
+      }
+      for (int l = 0; l < BESIDE; l++) value[l * n + i] = x[l], slope[l * n + i] = v[l];
+    }
+    for (int l = 0; l < some; l++) {
+      rates_at(&call, moments[m + l], value + l * n, rate);
+      off[m + l] = 0.0;
+      EACH {
+        double apart = fabs(rate[i] - slope[l * n + i]);
+        if (!(apart <= off[m + l])) off[m + l] = apart == apart ? apart : INFINITY;
+      }
     }
   }
   free(call.arg);

@@ -19,7 +19,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, PPoly
+from scipy.interpolate import PPoly
 
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder.errors import InputError
@@ -789,17 +789,17 @@ def _mirrored(involution: Involution, times: np.ndarray, states: np.ndarray, ang
         > 2 * np.abs(np.diff(moved, axis=0) / units).max() + 10 * RECOGNITION
     ):
         return False
-    parts = np.hstack([states[:, :n] @ rows[leading, :n, None], states[:, n:] @ rows[leading, :n, None]])
-    chosen: PPoly = CubicHermiteSpline(times, *parts.T)
     levels = [0.0]
-    if coordinate[leading] and angles[np.flatnonzero(rows[leading])].all():
-        turn = 2 * np.pi * _fixed(involution, n).share[leading]
-        levels = list(np.arange(np.floor(parts[:, 0].min() / turn), parts[:, 0].max() / turn + 1) * turn)
-    elif not coordinate[leading]:
-        chosen = CubicHermiteSpline(times, states[:, :n] @ rows[leading, n:], moved[:, leading]).derivative()
-    roots = [_reaching(chosen, level).solve(level, extrapolate=False) for level in levels]
-    moments = np.concatenate([*(root[np.isfinite(root)] for root in roots), times])
-    there = between(times, states, n, moments)
+    if coordinate[leading]:
+        pieces = _cubics(times, states[:, :n] @ rows[leading, :n], states[:, n:] @ rows[leading, :n])
+        if angles[np.flatnonzero(rows[leading])].all():
+            turn, leads = 2 * np.pi * _fixed(involution, n).share[leading], moved[:, leading]
+            levels = list(np.arange(np.floor(leads.min() / turn), leads.max() / turn + 1) * turn)
+    else:
+        pieces = _cubics(times, states[:, :n] @ rows[leading, n:], moved[:, leading])
+        pieces = pieces[:3] * np.array([[3.0], [2.0], [1.0]])  # their rates
+    crossings = np.concatenate([_crossings(times, pieces, level) for level in levels])
+    moments, there = np.append(crossings, times), np.vstack([between(times, states, n, crossings), states])
     defects = np.abs(off_centre(involution, there, angles) / units).max(axis=1)
     # the spline's rates are good to about the fourth power of the sampling interval
     if not defects.size or not defects.min() <= 10 * RECOGNITION:
@@ -812,11 +812,25 @@ def _mirrored(involution: Involution, times: np.ndarray, states: np.ndarray, ang
     return bool(np.abs(turned - image).max() / 2 <= RECOGNISED.mirror * np.abs(states[:, n:]).max())
 
 
-def _reaching(curve: PPoly, level: float) -> PPoly:
-    """The curve with a constant in place of each piece that comes nowhere near a level."""
-    reach = np.abs(curve.c[:-1] * np.diff(curve.x) ** np.arange(len(curve.c) - 1, 0, -1)[:, None]).sum(axis=0)
-    near = np.abs(curve.c[-1] - level) <= (1 + 1e-9) * reach
-    return PPoly(np.vstack([curve.c[:-1] * near, curve.c[-1:]]), curve.x)
+def _cubics(times: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """The cubics (4 x k, the highest power first) of the time since each of k + 1 times that have values and slopes."""
+    step = np.diff(times)
+    mean, first, last = np.diff(values) / step, slopes[:-1], slopes[1:]
+    return np.array([(first + last - 2 * mean) / step**2, (3 * mean - 2 * first - last) / step, first, values[:-1]])
+
+
+def _crossings(times: np.ndarray, pieces: np.ndarray, level: float) -> np.ndarray:
+    """Moments at which polynomials (order x k) of the time since each of k + 1 times have a level, before the next."""
+    lasts = np.diff(times)
+    reach = np.abs(pieces[:-1] * lasts ** np.arange(len(pieces) - 1, 0, -1)[:, None]).sum(axis=0)
+    near = np.flatnonzero(np.abs(pieces[-1] - level) <= (1 + 1e-9) * reach)
+    if not near.size:
+        return times[:0]
+    begins = np.append(0.0, np.cumsum(lasts[near]))  # of these alone, one after another
+    roots = PPoly(pieces[:, near], begins).solve(level, discontinuity=False, extrapolate=False)
+    roots = roots[np.isfinite(roots)]
+    own = np.minimum(np.searchsorted(begins, roots, side="right") - 1, near.size - 1)
+    return np.asarray(times[near[own]] + roots - begins[own])
 
 
 def time_dependent(model: Model) -> bool:

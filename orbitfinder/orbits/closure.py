@@ -58,13 +58,14 @@ def closes(
     close by themselves, to their own A. With the gradients (k x m) of what is `kept` the period's error is told.
     """
     sizes = np.maximum(np.abs(states).max(axis=0), 1.0)  # of the components, R
-    found = _together(gap, transitions, sizes, rate)
+    whole = carried(transitions, sizes)
+    found = _together(gap, whole, rate)
     parts = [found]
     for own in _closed(transitions, sizes):
         inner = [one[np.ix_(own, own)] for one in transitions]
-        parts.append(_together(gap[own], inner, sizes[own], None if rate is None else rate[own]))
+        parts.append(_together(gap[own], carried(inner, sizes[own]), None if rate is None else rate[own]))
     worst = max(parts, key=lambda one: one.gap / min(one.amplification, LARGEST_SCALE))
-    late = 0.0 if kept is None or rate is None else _late(gap, carried(transitions, sizes), rate, kept)
+    late = 0.0 if kept is None or rate is None else _late(gap, whole, rate, kept)
     return replace(found, distance=max(one.distance for one in parts), worst=worst.worst, period_error=late)
 
 
@@ -81,10 +82,8 @@ def _late(gap: np.ndarray, carried: tuple[np.ndarray, float], rate: np.ndarray, 
     return float(np.abs(row) @ (np.abs(gap) + ROUND_OFF * EPSILON * grown))
 
 
-def _together(
-    gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None
-) -> Closure:
-    monodromy, largest = carried(transitions, sizes)
+def _together(gap: np.ndarray, carried: tuple[np.ndarray, float], rate: np.ndarray | None) -> Closure:
+    monodromy, largest = carried
     round_off, widest = ROUND_OFF * EPSILON * min(largest, LARGEST_SCALE), float(np.abs(gap).max())
     return Closure(widest, largest, _distance(gap, monodromy, rate, round_off), (widest, largest))
 

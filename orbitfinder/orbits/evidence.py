@@ -519,14 +519,12 @@ def _variable(model: Model, states: np.ndarray, units: np.ndarray) -> float:
 
 def _products(pieces: Sequence[np.ndarray]) -> tuple[np.ndarray, float, float]:
     """Phi(T, 0), the largest |Phi(t, s)| between the ends of any two pieces and the largest |Phi(T, t)| |Phi(t, 0)|."""
-    count = len(pieces)
-    norms = np.ones((count + 1, count + 1))  # from the start of one piece to that of another
-    for begin in reversed(range(count)):
-        whole = np.eye(len(pieces[0]))
-        for end, piece in enumerate(pieces[begin:], begin + 1):
-            whole = piece @ whole
-            norms[begin, end] = np.linalg.norm(whole)
-    return whole, float(norms.max()), float((norms[:, -1] * norms[0]).max())
+    count, size = len(pieces), len(pieces[0])
+    norms, wholes = np.ones((count + 1, count + 1)), np.empty((0, size, size))
+    for end, piece in enumerate(pieces, 1):  # from the start of each piece to that of another
+        wholes = piece @ np.concatenate([wholes, np.eye(size)[None]])
+        norms[:end, end] = np.linalg.norm(wholes, axis=(1, 2))
+    return wholes[0], float(norms.max()), float((norms[:, -1] * norms[0]).max())
 
 
 def tour(
