@@ -126,12 +126,15 @@ def test_a_command_whose_options_are_refused_leaves_no_limit_behind():
     assert limit.left() == np.inf and not limit.running
 
 
-def test_run_reports_the_search_that_took_too_long(tmp_path):
-    file = str(PROBLEMS / "gallery" / "quintuple-pendulum-whip.toml")
-    done = CliRunner().invoke(cli, ["run", file, "--limit", "0.05", "--out", str(tmp_path), "--json"])
+@pytest.mark.parametrize("seconds", ["0.05", "1e-06"])
+def test_run_reports_the_search_that_took_too_long(tmp_path, seconds):
+    """Also where the time is over before the file is read; the other file is run."""
+    files = [str(PROBLEMS / name) for name in ("gallery/quintuple-pendulum-whip.toml", "report/triple-1.toml")]
+    done = CliRunner().invoke(cli, ["run", *files, "--limit", seconds, "--out", str(tmp_path), "--json"])
     assert done.exit_code == 1, done.output
-    (found,) = json.loads(done.stdout)["results"]
-    assert found["status"] == "failed" and found["message"].startswith("stopped after 0.05 s (limit)")
+    results = json.loads(done.stdout)["results"]
+    assert [found["name"] for found in results] == ["quintuple-pendulum-whip", "triple-1"]
+    assert results[0]["status"] == "failed" and results[0]["message"].startswith(f"stopped after {seconds} s (limit)")
 
 
 def test_verify_stops_with_a_sentence():

@@ -22,7 +22,7 @@ from orbitfinder._runtime import interrupt, processes, streams
 from orbitfinder._runtime.limit import limited
 from orbitfinder.cli.console import Display, Report
 from orbitfinder.cli.options import trusted
-from orbitfinder.errors import InputError, OrbitfinderError, plural
+from orbitfinder.errors import InputError, LimitError, OrbitfinderError, plural
 from orbitfinder.records.certificate import Certificate, certified
 from orbitfinder.records.orbit import Orbit, save_orbit
 from orbitfinder.records.registry import kind_of, load, load_orbit, member, taken
@@ -89,12 +89,12 @@ def prepare(
     """Jobs for problem files, everything that can be checked before computing checked."""
     jobs: dict[str, ProblemJob] = {}
     for file in files:
-        began = time.monotonic()
-        with limited(limit):
+        began, loaded, name = time.monotonic(), None, file.stem
+        with contextlib.suppress(LimitError), limited(limit):  # the job tells that its time was over
             from orbitfinder.problemfile.read import load_problem_file
 
             loaded = load_problem_file(file, trust)
-        name = loaded.wanted.name
+            name = loaded.wanted.name
         if name in jobs:
             raise InputError(f"name: {name!r} is used by both {jobs[name].file} and {file}; rename one of them")
         jobs[name] = ProblemJob(file, name, out, figures, trust, limit, time.monotonic() - began, loaded, method)
