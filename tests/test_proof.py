@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -453,16 +454,20 @@ def test_unprovable_systems_are_bad_input(found, tmp_path):
     assert missing.exit_code == 2 and "no such file" in missing.output
 
 
-def test_missing_python_flint_names_the_extra(saved, monkeypatch):
-    """Without python-flint both commands say what to install."""
-    for module in [name for name in sys.modules if name.startswith("orbitfinder.proof.")]:
-        home, _, name = module.rpartition(".")
+OLD = SimpleNamespace(arb_poly=object, __version__="0.7.1")
+
+
+@pytest.mark.parametrize(("module", "is_"), [(None, "not installed"), (OLD, "0.7.1, older than 0.8")])
+def test_missing_python_flint_names_the_extra(saved, monkeypatch, module, is_):
+    """Without python-flint, or with one that is too old, both commands say what to install."""
+    for own in [name for name in sys.modules if name.startswith("orbitfinder.proof.")]:
+        home, _, name = own.rpartition(".")
         monkeypatch.delattr(sys.modules[home], name)  # which comes back with the module itself, or two would be about
-        monkeypatch.delitem(sys.modules, module)
-    monkeypatch.setitem(sys.modules, "flint", None)
+        monkeypatch.delitem(sys.modules, own)
+    monkeypatch.setitem(sys.modules, "flint", module)
     for command in ("prove", "refine"):
         result = run(command, saved)
-        assert result.exit_code == 2 and "orbitfinder[proof]" in result.output
+        assert result.exit_code == 2 and "orbitfinder[proof]" in result.output and is_ in result.output
 
 
 def test_refine_agrees_with_the_elliptic_integral(found):

@@ -19,9 +19,12 @@ from orbitfinder.errors import InputError
 
 
 class _Missing:
-    """Stands for python-flint, and for each of its names, where it is not installed: it says so when it is used."""
+    """Stands for python-flint, and for each of its names, where it is not installed or old: says so when it is used."""
 
     __version__ = "none"
+
+    def __init__(self, why: str) -> None:
+        self.why = why
 
     def __getattr__(self, name: str) -> _Missing:
         if name.startswith("__"):
@@ -30,15 +33,18 @@ class _Missing:
 
     def __call__(self, *_: Any) -> _Missing:
         raise InputError(
-            "proofs need python-flint (ball arithmetic), which is not installed; "
+            f"proofs need python-flint (ball arithmetic), which is {self.why}; "
             "install orbitfinder with its extra 'proof': pip install 'orbitfinder[proof]'"
         )
 
 
 try:
     import flint
+
+    if not hasattr(flint.arb_poly, "truncate"):
+        flint = _Missing(f"{flint.__version__}, older than 0.8")
 except ImportError:  # pragma: no cover - depends on what is installed
-    flint = _Missing()
+    flint = _Missing("not installed")
 
 arb, arb_mat, arb_poly, arb_series, fmpq = flint.arb, flint.arb_mat, flint.arb_poly, flint.arb_series, flint.fmpq
 acb, acb_mat = flint.acb, flint.acb_mat
