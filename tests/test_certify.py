@@ -204,6 +204,23 @@ def test_an_edit_too_small_to_recompute_fails_the_digest(good, tmp_path, entry, 
     assert certify(edited(good, tmp_path, **{entry: value})).failures == ("record",)
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 5e-324, 1e300, -1e300, 1e200, 1e-200])
+@pytest.mark.parametrize("entry", ["state", "period", "energy", "action", "floquet_multipliers", "nodes"])
+def test_a_number_that_cannot_be_computed_with_is_a_rejection(good, entry, value):
+    """Of a record in memory, which no file has refused: no exception, and no warning (5e-324 s divided by zero)."""
+    for orbit in (good, load_orbit(f"{STRAIGHT.parents[1] / 'triple-1' / 'family.json'}#5")):
+        spoilt = np.array(getattr(orbit, entry))
+        spoilt.flat[:1] = value
+        assert not certify(replace(orbit, **{entry: spoilt if spoilt.ndim else float(spoilt)}, record=None)).passed
+
+
+@pytest.mark.parametrize("entry", ["pair_defect", "closure", "unfolding"])
+def test_a_recorded_error_that_is_no_number_is_rejected(good, entry):
+    """nan is no smaller than what is allowed; of reciprocal pairs it once was."""
+    certificate = certify(replace(good, **{entry: (np.nan,) if entry == "unfolding" else np.nan}))
+    assert certificate.failures == ("finite",) and f"record: {entry}" in certificate.checks[0].note
+
+
 @pytest.mark.parametrize(
     ("parameter", "value"),
     [("length", [1.0, 1.0, 1.0, 1.0 + 1e-6]), ("mass", [1.0, 1.0, 1.0 + 1e-6, 1.0]), ("com", [0.5, 0.5, 0.5, 0.51])],

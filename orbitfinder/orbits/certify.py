@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime.rooms import filled
-from orbitfinder._runtime.sizes import LEAST, size_of
+from orbitfinder._runtime.sizes import LEAST, nonzero, size_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.automaton import Arc
 from orbitfinder.integrate.equations import accelerations, invariant_gradients
@@ -49,8 +49,10 @@ from orbitfinder.orbits.hybrid import (
 from orbitfinder.orbits.implicit import SMALL, gathered, suits
 from orbitfinder.orbits.reduction import reduction
 from orbitfinder.records.certificate import Certificate, Check, at_least, at_most, equal, refused, same
+from orbitfinder.records.codec import entries_of
 from orbitfinder.records.family import FamilyPoint
-from orbitfinder.records.orbit import SHIFT, Orbit, digest, orbit_to_document
+from orbitfinder.records.orbit import DIGESTED, SHIFT, Orbit, digest, orbit_to_document
+from orbitfinder.records.reading import bounded
 
 MOST_TURNS = 10**6
 """Whole turns in a period that are still believed"""
@@ -159,10 +161,11 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
     """An orbit, with the multipliers recomputed here where they are `better` known, and its certificate."""
     turns = _turns(orbit, model)
     turned(model, turns, orbit.shift)
-    if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
-        return orbit, Certificate((refused("finite", "state or period is not a number", float("nan")),))
+    if fault := _malformed(orbit):
+        return orbit, Certificate((refused("finite", fault, float("nan")),))
     verifier = verifier_of(orbit, model)
     try:
+        _computable(orbit)
         seen, second = verifier.gather(orbit, model, turns)
     except (ConvergenceError, IntegrationError) as error:
         return orbit, Certificate((refused(verifier.missing, error),))
@@ -170,6 +173,25 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
     trial = Trial(orbit, model, turns, allowed, seen, second)
     checks, late = tuple(check for check in verifier.checks(trial) if check), seen.closes.period_error * orbit.period
     return orbit, Certificate(checks, trial.scale, seen.closure, late)
+
+
+def _malformed(orbit: Orbit) -> str:
+    """What is wrong with the first of a record's numbers that is none; "" where all are."""
+    looked_at = {*DIGESTED, "shift", "control"} - {"system", "expected"}
+    claims = {name: value for name, value in entries_of(orbit, Orbit).items() if name in looked_at}
+    try:
+        bounded(claims, "record", "find the orbit again")
+    except InputError as error:
+        return str(error)
+    return "" if orbit.period > 0 else f"record: period: {orbit.period:g} is no period; find the orbit again"
+
+
+def _computable(orbit: Orbit, farthest: float = 1e100) -> None:
+    """Raises `IntegrationError` for a state, or a period or its inverse, whose squares are no numbers."""
+    sizes = ("state", float(np.abs(orbit.state).max(initial=0.0)), 0.0), ("period", orbit.period, 1 / farthest)
+    for name, size, least in sizes:
+        if not least <= size < farthest:
+            raise IntegrationError(f"{name}: {size:g} is nothing to compute with; find the orbit again")
 
 
 @dataclass(frozen=True)
@@ -300,6 +322,9 @@ class Trial:
             off, held = abs(self.orbit.closure - self.gap), self.orbit.tolerance
         yield at_most("recorded_closure", off, held * self.scale, RECORDED)
         yield at_most("floquet_multipliers", _multiplier_distance(self.orbit, self.seen.floquet), room, "relative")
+        defect = abs(self.orbit.pair_defect - self.seen.floquet.pair_defect)
+        if defect and not isinstance(self.seen, Evidence):  # which asks for reciprocal pairs
+            yield at_most("pair_defect", defect, self.allowed.multipliers, RECORDED)
         yield same("stability", self.orbit.stability, _undecided(self.orbit, self.model) or self.seen.floquet.stability)
 
     def record(self) -> Check | None:
@@ -334,7 +359,7 @@ def _smooth_checks(trial: Trial) -> Iterator[Check | None]:
     orbit, model, allowed, gap = trial.orbit, trial.model, trial.allowed, seen.closes.gap
     # near a saddle errors grow between any two instants; Phi takes up more than what it is at the end
     passing = ROUND_OFF * EPSILON * min(seen.growth, LARGEST_GROWTH)
-    taken = ROUND_OFF * EPSILON * min(seen.varied / seen.norm, LARGEST_SCALE**2)
+    taken = ROUND_OFF * EPSILON * min(seen.varied / nonzero(seen.norm), LARGEST_SCALE**2)
     kept = max(allowed.trivial, passing, taken)
     near, moving = _Nearby(model, seen), "" if orbit.shift else reduction(model, orbit)
     yield from trial.closing(f"DOP853 on {seen.motion.formulation}; ")
@@ -400,7 +425,7 @@ def _hybrid_checks(trial: Trial) -> Iterator[Check | None]:
     """The checks of a hybrid orbit: its automaton simulated, all guards watched, from the state alone."""
     seen: HybridEvidence = trial.seen
     orbit, model, allowed, gap = trial.orbit, trial.model, trial.allowed, seen.closes.gap
-    lasted, pairs = abs(seen.period / orbit.period - 1), seen.floquet.pair_defect
+    lasted = abs(seen.period / orbit.period - 1)
     events = [str(arc.ended_by) for arc in seen.arcs]
     ignored = "".join(f"; ignored: {text}" for text in model.hybrid.ignored)
     yield equal("events", events != list(model.cycle), 0.0,
@@ -423,8 +448,6 @@ def _hybrid_checks(trial: Trial) -> Iterator[Check | None]:
     yield from trial.linear(allowed.multipliers)
     had = repeats(model, orbit.symmetry, seen, turned(model, trial.turns, orbit.shift))
     yield same("symmetry", orbit.symmetry, orbit.symmetry if had else NONE.name)
-    if orbit.pair_defect != pairs:
-        yield at_most("pair_defect", abs(orbit.pair_defect - pairs), allowed.multipliers, RECORDED)
     yield trial.record()
     yield from expected_checks(orbit, model)
 
