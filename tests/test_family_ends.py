@@ -23,7 +23,8 @@ from orbitfinder.families.rest import can_rest, rest_of
 from orbitfinder.families.start import begin, full_samples
 from orbitfinder.families.verified import verified
 from orbitfinder.loops.symmetry import REFLECTION_MAP
-from orbitfinder.mechanics.kind import check_reachable
+from orbitfinder.mechanics.kind import build_model, check_reachable
+from orbitfinder.records.ends import ENDS
 from orbitfinder.records.family import End, Reading, plain, save_family
 
 ROOT = Path(__file__).parents[1]
@@ -557,3 +558,51 @@ def test_loops_that_may_not_close_there_are_left_to_the_family():
         check_reachable(linkage, "length1", {"until": [-1.0]})
     made = of.ode(lambda t, x, p: [x[1], -x[0] + p[0]], ["x", "v"], parameters={"push": 1.0})
     check_reachable(made, "push", {"until": [-1.0], "at": []})
+
+
+SHIPPED = {name: ROOT / "results" / "families" / name / "family.json" for name in ("five-bar-fast", "quadruple-mode-1")}
+
+
+def said_of(family, end, side=0):
+    """What `verify` says of one end in place of a family's own."""
+    ends = list(family.ends)
+    ends[side] = end
+    model = build_model(family.system)
+    return dict(verified(replace(family, events=(), ends=tuple(ends)), model))[f"end {side % len(ends)}"]
+
+
+def test_an_end_of_no_kind_is_refused_and_found(tmp_path):
+    """When the file is read, by its field; and of a family in memory."""
+    family = of.load_family(SHIPPED["quadruple-mode-1"])
+    wrong = replace(family.ends[0], kind="retuned")
+    path = save_family(replace(family, ends=(wrong,)), tmp_path)
+    with pytest.raises(InputError, match=r"ends\[0\].kind: no family ends in 'retuned', did you mean 'returned'\?"):
+        of.load_family(path)
+    assert CliRunner().invoke(cli, ["verify", str(path)]).exit_code == 2
+    assert "no family ends in 'retuned'" in said_of(family, wrong).note
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_an_end_under_another_name_is_found(name):
+    """As every kind that there is, by what it says and what it lacks."""
+    family = of.load_family(SHIPPED[name])
+    for side, end in enumerate(family.ends):
+        assert said_of(family, end, side).passed
+        for kind in ENDS:
+            assert kind == end.kind or not said_of(family, replace(end, kind=kind), side).passed, (end.kind, kind)
+
+
+@pytest.mark.parametrize("field", ["joined", "saddles"])
+def test_what_an_end_cannot_say_is_found(field):
+    family = of.load_family(SHIPPED["five-bar-fast"])
+    said = said_of(family, replace(family.ends[0], **{field: {} if field == "joined" else ()}))
+    assert not said.passed and f"{field}: there is none at an end of kind equilibrium" in said.note
+
+
+def test_what_is_not_checked_of_an_end_is_said(tmp_path):
+    """A step that could not be taken leaves nothing to solve for again."""
+    family = of.load_family(SHIPPED["quadruple-mode-1"])
+    lost = End("step underflow", "step below 1e-07: no convergence")
+    path = save_family(replace(family, events=(), ends=(lost,)), tmp_path)
+    answer = CliRunner().invoke(cli, ["verify", str(path)])
+    assert answer.exit_code == 0 and "not checked: " in answer.output and "1 of them not checked" in answer.output

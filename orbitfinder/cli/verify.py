@@ -115,11 +115,14 @@ def verified(file: Path, trust: bool) -> dict[str, Any]:
 def _family(file: Path, family: Family, placed: list[tuple[str, Check]]) -> dict[str, Any]:
     """The checks of all events and ends of a family, made again."""
     wrong = [f"{where}: {check.name}" for where, check in placed if not check.passed]
+    skipped = sum(check.skipped for _, check in placed)
     for where, check in placed:
-        verdict = "passed" if check.passed else f"FAILED  {one_line(check.note)}"
+        said = one_line(check.note)
+        verdict = f"FAILED  {said}" if not check.passed else said if check.skipped else "passed"
         text(f"  {check.name:<18}{where:<42}{check.value:>9.1e} of {check.tolerance:<8.1e}  {verdict}")
     what = f"{plural(len(family.events), 'event')} and {plural(len(family.ends), 'end')}"
-    text(f"{file} ({family.name}): {what} {'verified' if not wrong else f'REJECTED by {len(wrong)}'}")
+    verdict = f"REJECTED by {len(wrong)}" if wrong else "verified"
+    text(f"{file} ({family.name}): {what} {verdict}{f', {skipped} of them not checked' if skipped else ''}")
     checks = [{"where": where} | entries_of(check) for where, check in placed]
     return {"file": str(file), "name": family.name, "passed": not wrong, "checks": checks}
 

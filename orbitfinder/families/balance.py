@@ -37,7 +37,6 @@ from orbitfinder.families.entries import KINDS
 from orbitfinder.families.events import event_at, find_events
 from orbitfinder.families.members import batch_certified, certified, series
 from orbitfinder.families.point import FamilySettings, make_point
-from orbitfinder.families.registry import end_kind
 from orbitfinder.families.run import Sample, ahead, make_interval, make_sample
 from orbitfinder.families.stability import matching
 from orbitfinder.families.start import curve_at, entry_of
@@ -61,9 +60,10 @@ from orbitfinder.orbits.harmonics import Balanced
 from orbitfinder.orbits.hill import Exponents, exponents, finer_indices, monodromy, proved
 from orbitfinder.orbits.implicit import SMALL, ImplicitCheck, gathered
 from orbitfinder.orbits.measure import action
-from orbitfinder.records.certificate import Check, at_most
+from orbitfinder.records.certificate import Check, at_most, skipped
 from orbitfinder.records.certificate import refused as unsound
 from orbitfinder.records.codec import plain
+from orbitfinder.records.ends import end_fault, end_kind
 from orbitfinder.records.family import (
     CLOSURE,
     Batch,
@@ -400,10 +400,20 @@ def reverified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
         interrupt.check()
         yield f"event {k}, {name} {event.parameter:.12g}", _again(family, check, event)
     for k, end in enumerate(family.ends):
-        met = end.reason.startswith("reached ")
-        off = float(np.abs(values[[0, -1]] - float(end.reason.rpartition("=")[2])).min()) if met else 0.0
-        said = end.reason if met else "nothing was solved for"
-        yield f"end {k}", at_most(end.kind, off, ROUNDED * float(np.abs(values).max()), said)
+        yield f"end {k}", _end_again(end, values[[0, -1]], float(np.abs(values).max()))
+
+
+def _end_again(end: End, values: np.ndarray, size: float) -> Check:
+    """What is asked for is met at the first or the last point; of other ends nothing is solved for."""
+    if fault := end_fault(end, ()):
+        return unsound(end.kind, fault, float("nan"))
+    if not end_kind(end.kind).asked:
+        return skipped(end.kind, "nothing was solved for")
+    try:
+        wanted = float(end.reason.rpartition("=")[2])
+    except ValueError as error:
+        return unsound(end.kind, f"reason: {error}", float("nan"))
+    return at_most(end.kind, float(np.abs(values - wanted).min()), ROUNDED * size, end.reason)
 
 
 def _again(family: Family, check: ImplicitCheck, event: Event) -> Check:

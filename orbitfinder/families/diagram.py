@@ -26,13 +26,13 @@ from orbitfinder.families.equilibria import RestBranch, follow_equilibria
 from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, RestEvent, load_equilibria, save_equilibria
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.registry import end_kind
 from orbitfinder.families.rest_starts import find_equilibria
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, Check, at_most, equal
 from orbitfinder.records.codec import Codec
+from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import JOURNAL, End, Event, Family, load_family, reached, save_family
 from orbitfinder.records.journal import refuse_other
 from orbitfinder.records.reading import write_atomically

@@ -15,9 +15,19 @@ from orbitfinder.families.codimension_two import (
 )
 from orbitfinder.families.critical import at_level, grazed, indices_meet, neutral, pair_at_circle
 from orbitfinder.families.events import extrema
-from orbitfinder.families.registry import FOLLOWED, KINDS, LOOKS, SWITCHABLE, EventKind, Followed, Look, kind_of
+from orbitfinder.families.registry import (
+    FOLLOWED,
+    KINDS,
+    LOOKS,
+    SWITCHABLE,
+    EventKind,
+    Followed,
+    Look,
+    is_kind,
+    kind_of,
+)
 
-__all__ = ["FOLLOWED", "KINDS", "LOOKS", "SWITCHABLE", "kind_of"]
+__all__ = ["FOLLOWED", "KINDS", "LOOKS", "SWITCHABLE", "is_kind", "kind_of"]
 
 KINDS.update({
     "fold": EventKind(

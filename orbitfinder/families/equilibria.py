@@ -20,7 +20,6 @@ from orbitfinder.continuation.follow import CurveJournal, Goals, KeptPoint, Pace
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
-from orbitfinder.families.registry import end_kind
 from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, Judge
 from orbitfinder.families.rest_problem import (
     AtRest,
@@ -38,6 +37,7 @@ from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.mechanics.kind import build_model, check_reachable, with_parameters
 from orbitfinder.mechanics.model import Model, check_state
+from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import End, Reading
 
 PACE = Pace(first=0.01, shortest=1e-9, longest=0.05, points=400, bend=0.95, quick=4, slow=7, located=1e-3, closed=True)

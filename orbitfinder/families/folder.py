@@ -20,7 +20,6 @@ from orbitfinder.families.follow import follow
 from orbitfinder.families.handover import handed_over
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.registry import end_kind
 from orbitfinder.families.run import Run, first_point, in_scales
 from orbitfinder.families.start import Start, as_problem, begin, curve_of, entry_of, method_of, unknown_parameters
 from orbitfinder.families.verified import checked
@@ -36,6 +35,7 @@ from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hybrid import HybridCheck
 from orbitfinder.orbits.method import named
 from orbitfinder.records.codec import plain
+from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import (
     CLOSURE,
     FORMAT,

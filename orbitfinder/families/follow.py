@@ -26,7 +26,7 @@ from orbitfinder.families.joins import Invariance, Join
 from orbitfinder.families.motion import watched
 from orbitfinder.families.passages import Test, avoided, zeros
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value
-from orbitfinder.families.registry import end_kind, tests_of
+from orbitfinder.families.registry import tests_of
 from orbitfinder.families.run import (
     Interval,
     Run,
@@ -46,6 +46,7 @@ from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Solution, advanced, correct, distance, plane, tangent
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.mesh import carried, refined, regraded, settled
+from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import UNKNOWN, Batch, End, Event, FamilyPoint, Standing, reached
 
 SHORTEST_SEARCH = 1e-3

@@ -14,7 +14,6 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.members import batch_certified
 from orbitfinder.families.point import freed, make_point, parameter_value, unknowns_of
-from orbitfinder.families.registry import end_kind
 from orbitfinder.families.run import Run, in_scales
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Curve, Solution, correct, plane
@@ -26,6 +25,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.method import Method, begins, named, rescuer
 from orbitfinder.records.codec import plain
+from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import JOURNAL, Batch, End, Event, FamilyPoint, Journal
 from orbitfinder.records.journal import begin_journal
 

@@ -104,6 +104,11 @@ def kind_of(name: str) -> EventKind:
     return KINDS.get(name, EventKind(_unknown))
 
 
+def is_kind(name: str) -> bool:
+    """Whether there is such a kind of event."""
+    return name in KINDS
+
+
 def tests_of(interval: Interval, second: bool) -> Iterator[Test]:
     """What vanishes within a step at the kinds that are looked for alone, on families or (`second`) on curves.
 
@@ -147,34 +152,3 @@ class Told(Mapping[str, Any]):
 
 LOOKS, SWITCHABLE, FOLLOWED = Told("look"), Told("branches"), Told("followed")
 """How each kind is drawn; those at which families leave; those that are followed in two parameters, and how"""
-
-
-@dataclass(frozen=True)
-class EndKind:
-    """A kind of end: `asked` for, so that it moves with what is asked; `lengthened` by more points; `closed`, so that
-    there is no other direction; `outside`, where the last orbit that was met is none of the family's; or `stuck`, where
-    another method may go on."""
-
-    asked: bool = False
-    lengthened: bool = False
-    closed: bool = False
-    outside: bool = False
-    stuck: bool = False
-
-
-ENDS = {
-    "target": EndKind(asked=True),
-    "point limit": EndKind(lengthened=True),
-    "returned": EndKind(closed=True),
-    "equilibrium": EndKind(outside=True),
-    "relative equilibrium": EndKind(outside=True),
-    "step underflow": EndKind(stuck=True),
-    "singularity": EndKind(stuck=True),
-    "canard": EndKind(stuck=True),
-}
-"""The kinds of ends at which more is to be done than to stop"""
-
-
-def end_kind(name: str) -> EndKind:
-    """What is to be done at a kind of end."""
-    return ENDS.get(name, EndKind())

@@ -45,7 +45,8 @@ from orbitfinder.orbits.evidence import gather, tour
 from orbitfinder.orbits.floquet import judged
 from orbitfinder.orbits.hybrid import PATIENCE, cycle_from
 from orbitfinder.orbits.method import named
-from orbitfinder.records.certificate import Certificate, Check, at_most, equal, refused
+from orbitfinder.records.certificate import Certificate, Check, at_most, equal, refused, skipped
+from orbitfinder.records.ends import end_fault
 from orbitfinder.records.family import (
     AGAIN,
     CLOSURE,
@@ -310,10 +311,10 @@ def _told(family: Family, curve: Curve, event: Event, change: float, exchanged: 
 
 def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     check = _joined if end.joined else SOLVED.get(end.kind)
-    if check is None:
-        return equal(end.kind, 0.0, 0.0, "nothing was solved for")
     try:
-        return check(family, curve, end, at)
+        if fault := end_fault(end, (event.kind for event in family.events)):
+            raise ConvergenceError(f"{fault}; {AGAIN}")
+        return check(family, curve, end, at) if check else skipped(end.kind, "nothing was solved for")
     except (ConvergenceError, IntegrationError, ValueError, KeyError, TypeError) as error:
         return refused(end.kind, error, float("nan"))
 

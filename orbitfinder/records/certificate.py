@@ -35,6 +35,11 @@ class Check:
             return self.asked or EQUAL
         return AT_LEAST if (self.value > self.tolerance if self.passed else self.value < self.tolerance) else AT_MOST
 
+    @property
+    def skipped(self) -> bool:
+        """Whether nothing was asked."""
+        return self.passed and math.isnan(self.value)
+
     def _check(self) -> None:
         if self.asked not in ("", AT_LEAST):
             raise ValueError(f"asked: expected {AT_LEAST!r} or nothing, got {self.asked[:60]!a}")
@@ -65,6 +70,11 @@ def same(name: str, recorded: str, computed: str) -> Check:
 def refused(name: str, why: object, value: float = float("inf"), tolerance: float = 0.0) -> Check:
     """The check that fails because there is no number, or none that could be allowed."""
     return Check(name, value, tolerance, False, str(why))
+
+
+def skipped(name: str, why: object) -> Check:
+    """What stands for a check that a record does not allow: it fails nothing, and says so."""
+    return Check(name, float("nan"), 0.0, True, f"not checked: {why}")
 
 
 @dataclass(frozen=True)

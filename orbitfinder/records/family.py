@@ -23,6 +23,7 @@ from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.records.codec import Complexes, Filed, Unknown, check_format, entries_of, layout, plain
+from orbitfinder.records.ends import unknown_end
 from orbitfinder.records.journal import append_line, read_lines
 from orbitfinder.records.orbit import Orbit, system_at
 from orbitfinder.records.reading import (
@@ -597,6 +598,9 @@ def load_family(path: str | Path) -> Family:
         family: Family = typed(Family, document, "")
     except ValueError as error:
         raise InputError(f"{source}: {error}; {AGAIN}") from error
+    for k, end in enumerate(family.ends):
+        if fault := unknown_end(end.kind, {event.kind for event in family.events}):
+            raise InputError(f"{source}: ends[{k}].{fault}; {AGAIN}")
     about = family.name, family.system, family.curve
     try:
         return replace(family, points=tuple(situated(point, k, *about) for k, point in enumerate(family.points)))
