@@ -561,6 +561,21 @@ def test_loops_that_may_not_close_there_are_left_to_the_family():
 
 
 SHIPPED = {name: ROOT / "results" / "families" / name / "family.json" for name in ("five-bar-fast", "quadruple-mode-1")}
+FALSE = [
+    End("point limit", "500 points were asked for"),
+    End("target", "reached energy = 0.1"),
+    End("returned", "a closed family: back at its start after an arclength of 20"),
+    End("equilibrium", "the orbits shrink to the equilibrium at q = [0. 0.], period 6.28318531"),
+    End("relative equilibrium", "the orbits shrink to a relative equilibrium at q = [0. 0.]"),
+    End("homoclinic", "the period blows up (100, 15 times the shortest)"),
+    End("heteroclinic", "the period blows up", 0.1, 7.0, 1e-9, saddles=()),
+    End("merged", "joins a family of period T/2", 0.1, 7.0, 1e-9),
+    End("canard", "a canard explosion", 0.1, 7.0, 1e-9),
+    End("singularity", "the motion comes near a singularity at q = [0. 0.]"),
+    End("dead point", "the links are in line, where the coordinates of this family end"),
+    End("grazing", "the wall is only just reached"),
+]
+"""None of them ends the family of loops in the potential of Henon and Heiles, whose kind fits what it says"""
 
 
 def said_of(family, end, side=0):
@@ -606,3 +621,43 @@ def test_what_is_not_checked_of_an_end_is_said(tmp_path):
     path = save_family(replace(family, events=(), ends=(lost,)), tmp_path)
     answer = CliRunner().invoke(cli, ["verify", str(path)])
     assert answer.exit_code == 0 and "not checked: " in answer.output and "1 of them not checked" in answer.output
+
+
+@pytest.mark.parametrize("end", FALSE, ids=lambda end: end.kind)
+def test_an_end_that_is_not_there_is_found(end):
+    """By what is computed from the record's orbits, not by its words."""
+    family = of.load_family(ROOT / "results" / "families" / "henon-heiles-loop" / "family.json")
+    said = said_of(family, end, 1)
+    assert not said.passed and "where its reason says" not in said.note
+
+
+def test_a_step_that_fails_beside_a_saddle_is_called_homoclinic():
+    family = of.load_family(ROOT / "results" / "families" / "henon-heiles-straight" / "family.json")
+    said = said_of(family, End("step underflow", "step below 1e-07: no convergence"), 1)
+    assert not said.passed and "homoclinic" in said.note
+
+
+def test_the_numbers_of_a_hopf_point_are_solved_for_again():
+    """Its parameter, its period and an error bar that says too much; as every other kind."""
+    model = normal_form()
+    problem = of.Problem(model, of.Guess([np.sqrt(HALF), 0.0], 2 * np.pi))
+    family = of.follow_family(problem, "mu", settings=DOWN, model=model)
+    end = family.ends[0]
+
+    def said(**changed):
+        return dict(verified(replace(family, ends=(replace(end, **changed),)), model))["end 0"].passed
+
+    assert said() and said(error=2 * end.error)
+    wrong = [{"parameter": 1e-3}, {"period": 1.001 * end.period}, {"error": 0.0}, {"error": 5e-324}, {"error": None}]
+    wrong += [{"kind": kind} for kind in ENDS if kind != end.kind]
+    assert [changed for changed in wrong if said(**changed)] == []
+
+
+def test_an_error_bar_of_a_reading_that_says_too_much_is_found():
+    family = of.load_family(ROOT / "results" / "families" / "henon-heiles-loop" / "family.json")
+    event = next(event for event in family.events if event.check and event.check.error)
+    model = build_model(family.system)
+    for share, passes in ((1.0, True), (1e-6, False)):
+        sharp = replace(event, check=replace(event.check, value=0.0, error=share * event.check.error))
+        said = dict(verified(replace(family, events=(sharp,), ends=()), model))
+        assert [check.passed for check in said.values()] == [passes]

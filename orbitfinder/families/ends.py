@@ -87,7 +87,7 @@ SHRINKING, MEETING = Shrinking(), Meeting()
 def end_at(run: Run, before: Walked, after: Walked) -> End | None:
     """The reason to stop after a step, or None."""
     curve, solution = run.curve, after.solution
-    if _self_excited(curve):
+    if self_excited(curve):
         if _turned_over(curve, before.solution, solution):
             raise ConvergenceError("the orbits pass amplitude 0 within one step")
     elif collapsed(curve, before.solution, solution):
@@ -113,7 +113,7 @@ def approach(run: Run, before: Walked, length: float, seen: dict[Invariance, Joi
     Or that end, where it is near and nothing is wanted before it. `seen` are the joins that the run has ahead of it.
     """
     try:
-        length, ended = _to_hopf(run, before, length) if _self_excited(run.curve) else (length, None)
+        length, ended = _to_hopf(run, before, length) if self_excited(run.curve) else (length, None)
         return (length, ended) if ended else _to_join(run, before, length, seen)
     except IntegrationError:  # as far ahead as is looked
         return length, None
@@ -159,7 +159,7 @@ def _wanted(run: Run, before: Walked, value: float, error: float) -> bool:
     return any(min(now, value) < other < max(now, value) and abs(other - value) > far for other in wanted)
 
 
-def _self_excited(curve: Curve) -> bool:
+def self_excited(curve: Curve) -> bool:
     """Whether a family is one of a physical parameter and of equations that keep nothing."""
     return bool(curve.equations.physical) and not curve.equations.model.conservative and can_rest(curve)
 
@@ -256,30 +256,42 @@ def end_of_failure(run: Run, step: Walked, failure: str) -> End:
         return _at_equilibrium(run, solution)
     if (end := _canard(run, step, failure)) is not None:
         return end
-    singular = None if _self_excited(curve) else _singular(curve, solution, failure)  # their jumps are no singularities
+    singular = (
+        None if self_excited(curve) else singularity(curve, solution, failure)
+    )  # their jumps are no singularities
     return singular or End("step underflow", failure)
 
 
 def _canard(run: Run, step: Walked, failure: str) -> End | None:
     """The end of a family of relaxation oscillations that changes beyond what its parameter's digits can tell."""
-    if not _self_excited(run.curve):
+    if not self_excited(run.curve):
         return None
     p, name = run.curve.equations, run.settings.parameter
     k, method = p.physical.index(name), p.by.name
     values, periods = step.portraits[:, 1 + k], step.portraits[:, 0]
-    apart = np.abs(values - values[-1]) > SHRINKING.exploded * np.ptp(values)
-    first = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
-    sizes = nonzero(step.portraits[first:, -p.size :])
-    period, size = (float(np.max(np.ptp(rows, axis=0) / rows.max(axis=0))) for rows in (periods[first:, None], sizes))
+    first, width = explosion(values)
+    period, size = (changing(rows) for rows in (periods[first:, None], step.portraits[first:, -p.size :]))
     if values.size - first < MEETING.fewest or max(period, size) < SHRINKING.explosion:
         return None
-    width = float(np.ptp(values[first:]))
     reason = (
         f"a canard explosion: within {width:.1g} of {name} {values[-1]:.12g} the period changes from "
         f"{periods[first]:.6g} to {lasting(periods[-1], p.model.system, 6)} and the extents by {100 * size:.2g} %, "
         f"along orbits that follow a repelling slow motion for so long that {method} cannot hold them; {failure}"
     )
     return End("canard", reason, float(values[-1]), float(periods[-1]), width)
+
+
+def explosion(values: np.ndarray) -> tuple[int, float]:
+    """Since when a parameter hardly changes, of its values along a family, and by how much it does."""
+    apart = np.abs(values - values[-1]) > SHRINKING.exploded * np.ptp(values)
+    first = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
+    return first, float(np.ptp(values[first:]))
+
+
+def changing(rows: np.ndarray) -> float:
+    """The most that any size (k x m) changes along its column, relative to its largest."""
+    sizes = nonzero(rows)
+    return float(np.max(np.ptp(sizes, axis=0) / sizes.max(axis=0)))
 
 
 def _met(run: Run, step: Walked, failure: str) -> End | None:
@@ -289,7 +301,7 @@ def _met(run: Run, step: Walked, failure: str) -> End | None:
         join = solved(curve, solution, name, kept)
         if join is not None and agrees(join, step, away, name):
             return end_of(join, f"; {failure}")
-    if not _self_excited(curve):
+    if not self_excited(curve):
         return None
     rest, off = _shrinks_to(run, step, vanishing(curve, step.sample, step.point.step))
     if rest is None:
@@ -327,7 +339,7 @@ def linear(curve: Curve, solution: Solution, within: float) -> bool:
     return bool(np.any(np.abs(turns - 1.0) < within))
 
 
-def _singular(curve: Curve, solution: Solution, failure: str) -> End | None:
+def singularity(curve: Curve, solution: Solution, failure: str) -> End | None:
     """The end of a family whose motion is somewhere so much faster than elsewhere that its equations are singular."""
     states, mesh, model = solution.march.states, solution.place.mesh, curve.equations.model
     slopes = curve.equations.march.rates(states, solution.place.tail, mesh * solution.place.period)
@@ -356,7 +368,7 @@ def collapsed(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether the last step went through an equilibrium: the orbit is now on the other side of its middle."""
     n, relative = curve.equations.model.degrees_of_freedom, curve.equations.symmetry.relative
     weights, still = curve.weights[: curve.equations.size], np.zeros(curve.equations.size - n)
-    paths = [_beside_shifts(s.march.states, relative) for s in (before, solution)]
+    paths = [beside_shifts(s.march.states, relative) for s in (before, solution)]
     rates = [0.5 * (path[:, n:].max(axis=0) + path[:, n:].min(axis=0)) if relative else still for path in paths]
     middles = [centre(curve, s) for s in (before, solution)] if not relative else [
         0.5 * (path[:, :n].max(axis=0) + path[:, :n].min(axis=0)) for path in paths
@@ -367,7 +379,7 @@ def collapsed(curve: Curve, before: Solution, solution: Solution) -> bool:
     return bool(np.sum(weights * first * other) < 0 and np.max(sizes) < 3 * moved)
 
 
-def _beside_shifts(states: np.ndarray, relative: Sequence[Sequence[float]]) -> np.ndarray:
+def beside_shifts(states: np.ndarray, relative: Sequence[Sequence[float]]) -> np.ndarray:
     """States (k x 2n) with the coordinates brought back along the directions that an orbit is relative in."""
     n = states.shape[1] // 2
     return np.array([[*beside(state[:n], relative), *state[n:]] for state in states]) if relative else states
@@ -377,7 +389,7 @@ def _steady(curve: Curve, before: Walked) -> End:
     """The end of a family that shrinks to a relative equilibrium, by its last orbit before it."""
     shift, period = before.point.shift, before.point.period
     rates = ", ".join(f"{name} by {by / period:.9g} a second" for name, by in shift.items())
-    states = _beside_shifts(before.solution.march.states, curve.equations.symmetry.relative)
+    states = beside_shifts(before.solution.march.states, curve.equations.symmetry.relative)
     middle = 0.5 * (states.max(axis=0) + states.min(axis=0))[: states.shape[1] // 2]
     return End(
         "relative equilibrium",
@@ -392,7 +404,7 @@ def returned(curve: Curve, before: Walked, after: Walked) -> End | None:
     What looks near, by numbers that do not depend on where t = 0 lies, is confirmed by an orbit of the family with the
     period and the parameters of the earlier one: it must be the same.
     """
-    place, scales, action = before.solution.place, curve.scales, abs(before.solution.march.integral) or 1.0
+    scales, action = curve.scales, abs(before.solution.march.integral) or 1.0
     if len(before.portraits) <= MEETING.fewest:
         return None
     units = np.concatenate([[scales.period], scales.free, [action], scales.states, scales.states])
@@ -404,19 +416,29 @@ def returned(curve: Curve, before: Walked, after: Walked) -> End | None:
     shares = (past - here) @ step / square
     aside = np.sqrt(np.maximum(((past - here) ** 2).sum(axis=1) - shares**2 * square, 0.0))
     near = (shares >= 0.0) & (shares <= 1.0) & (aside < 0.1 * np.sqrt(square)) & (ahead @ step > 0)
-    count, size = 1 + place.free.size, curve.equations.size
-    normal = np.concatenate([np.zeros(size), step[:count] / units[:count]])
     for k in np.flatnonzero(near):
-        aim = hyperplane(float(step[:count] @ past[k][:count]), normal)
-        try:
-            again = correct(curve, place.blended(after.solution.place, float(shares[k])), aim, place)
-        except (ConvergenceError, IntegrationError):
-            continue
-        apart = np.abs(portrait(curve, again) / units - past[k])
-        if apart[: count + 1].max() < MEETING.same and apart.max() < MEETING.alike:
+        if passed_again(curve, before.solution, after.solution, units * past[k]):
             where, length = "its start" if k == 0 else f"its step {k}", abs(after.point.arclength)
             return End("returned", f"a closed family: back at {where} after an arclength of {length:.6g}")
     return None
+
+
+def passed_again(curve: Curve, before: Solution, after: Solution, past: np.ndarray) -> bool:
+    """Whether the orbit between two of a step that has the period and the parameters of a past orbit's `portrait` is
+    that past orbit."""
+    place, scales, count = before.place, curve.scales, 1 + before.place.free.size
+    size = abs(before.march.integral) or 1.0
+    units = np.concatenate([[scales.period], scales.free, [size], scales.states, scales.states])
+    here, there = (portrait(curve, solution) / units for solution in (before, after))
+    step, off = there - here, past / units - here
+    normal = np.concatenate([np.zeros(curve.equations.size), step[:count] / units[:count]])
+    aim = hyperplane(float(step[:count] @ (past / units)[:count]), normal)
+    try:
+        again = correct(curve, place.blended(after.place, float(off @ step / (step @ step))), aim, place)
+    except (ConvergenceError, IntegrationError):
+        return False
+    apart = np.abs((portrait(curve, again) - past) / units)
+    return bool(apart[: count + 1].max() < MEETING.same and apart.max() < MEETING.alike)
 
 
 def mirrored(interval: Interval, at: float) -> bool:

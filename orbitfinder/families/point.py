@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import ConvergenceError
+from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.motion import watched
 from orbitfinder.families.stability import LARGEST, Spectrum, spectrum, transitions
 from orbitfinder.loops.conditions import measured
@@ -18,7 +18,7 @@ from orbitfinder.loops.symmetry import shifting, turned
 from orbitfinder.mechanics.scales import alone, shared
 from orbitfinder.orbits.closure import carried
 from orbitfinder.orbits.evidence import ClosureCheck
-from orbitfinder.records.family import CLOSURE, UNKNOWN, Event, FamilyPoint
+from orbitfinder.records.family import AGAIN, CLOSURE, UNKNOWN, Event, FamilyPoint
 from orbitfinder.records.orbit import system_at
 
 LEAST = 1e-3
@@ -193,7 +193,12 @@ def unknowns_of(curve: Curve, member: FamilyPoint | Event) -> Unknowns:
     """The shooting unknowns that a stored point or event stands for."""
     free = np.array(list(member.free.values()))
     w = curve.equations.unknowns(member.shooting_nodes, member.period, member.mesh, free)
-    return replace(w, unfolding=np.array(member.unfolding)) if isinstance(member, FamilyPoint) else w
+    if not isinstance(member, FamilyPoint):
+        return w
+    if len(member.unfolding) != curve.equations.march.unfolding:
+        raise InputError(f"points[{member.index}].unfolding: {len(member.unfolding)} numbers where "
+                         f"{curve.equations.march.unfolding} belong; {AGAIN}")  # fmt: skip
+    return replace(w, unfolding=np.array(member.unfolding))
 
 
 def freed(curve: Curve, place: Unknowns) -> dict[str, float]:

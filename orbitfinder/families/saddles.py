@@ -150,7 +150,7 @@ def blown_up(run: Run, step: Walked, more: str = "") -> End | None:
     if not known:
         where = np.array2string(state[:n], precision=4, suppress_small=True)
         return End("homoclinic", f"{grown}, slowest near q = {where}{more}")
-    saddles = _told_apart(curve, solution, known)
+    saddles = told_apart(curve, solution, known)
     value, error, settles = _limit(run, step, known)
     kind, what = (
         ("homoclinic", "orbit of the saddle") if len(saddles) == 1 else ("heteroclinic", "cycle of the saddles")
@@ -168,7 +168,7 @@ def _end(step: Walked, kind: str, reason: str, limit: Limit, saddles: Sequence[S
     return End(kind, reason, limit[0], float(step.solution.place.period), limit[1], saddles=known)
 
 
-def _told_apart(curve: Curve, solution: Solution, known: Sequence[Saddle]) -> list[Saddle]:
+def told_apart(curve: Curve, solution: Solution, known: Sequence[Saddle]) -> list[Saddle]:
     """Those of some saddles that are not the same, whole turns aside."""
     units, saddles = extents(curve, solution.march.states), list[Saddle]()
     angular = np.resize(curve.equations.model.angular, units.size)

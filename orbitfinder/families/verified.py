@@ -14,12 +14,35 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.arguments import check
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.families.checks import ALIKE, Probe, Refuted, Sides, check_known
 from orbitfinder.families.critical import Critical, levelled
+from orbitfinder.families.ends import (
+    MEETING,
+    SHRINKING,
+    beside_shifts,
+    changing,
+    explosion,
+    passed_again,
+    self_excited,
+    singularity,
+)
 from orbitfinder.families.entries import kind_of
-from orbitfinder.families.point import extents, growth, unknowns_of
-from orbitfinder.families.saddles import homoclinic_limit, noise_of, saddle_node_limit
+from orbitfinder.families.minimal import dead_point
+from orbitfinder.families.point import extents, growth, parameter_value, unknowns_of
+from orbitfinder.families.rest import can_rest, rest_of
+from orbitfinder.families.run import portrait
+from orbitfinder.families.saddles import (
+    SLOW,
+    homoclinic_limit,
+    near_saddle,
+    noise_of,
+    passed,
+    saddle_node_limit,
+    slowness,
+    told_apart,
+)
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import by_series, curve_in, fitted
 from orbitfinder.integrate.equations import hamilton
@@ -45,7 +68,7 @@ from orbitfinder.orbits.evidence import gather, tour
 from orbitfinder.orbits.floquet import judged
 from orbitfinder.orbits.hybrid import PATIENCE, cycle_from
 from orbitfinder.orbits.method import named
-from orbitfinder.records.certificate import Certificate, Check, at_most, equal, refused, skipped
+from orbitfinder.records.certificate import Certificate, Check, at_least, at_most, equal, refused, skipped
 from orbitfinder.records.ends import end_fault
 from orbitfinder.records.family import (
     AGAIN,
@@ -255,7 +278,8 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
 
 def _too_sharp(event: Event, again: Reading) -> str:
     """What is wrong with the error bars of an event read again, or nothing."""
-    for now, told in ((again.parameter_error, event.error), (again.period_error, event.period_error)):
+    read = again.error, event.check.error if event.check else None
+    for now, told in (read, (again.parameter_error, event.error), (again.period_error, event.period_error)):
         if now is not None and told is not None and not told >= SHARPER * now:
             return f"an error bar is recorded as {told:.1g}, found {now:.1g}"
     return ""
@@ -310,13 +334,98 @@ def _told(family: Family, curve: Curve, event: Event, change: float, exchanged: 
 
 
 def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
-    check = _joined if end.joined else SOLVED.get(end.kind)
+    check = SOLVED.get(end.kind, _happened)
     try:
         if fault := end_fault(end, (event.kind for event in family.events)):
             raise ConvergenceError(f"{fault}; {AGAIN}")
-        return check(family, curve, end, at) if check else skipped(end.kind, "nothing was solved for")
-    except (ConvergenceError, IntegrationError, ValueError, KeyError, TypeError) as error:
+        return check(family, curve, end, at)
+    except (ConvergenceError, IntegrationError, ValueError, KeyError, TypeError, IndexError) as error:
         return refused(end.kind, error, float("nan"))
+
+
+def _steps(family: Family, at: FamilyPoint) -> list[FamilyPoint]:
+    """The steps from a family's first orbit to the point at which it ends, in this order."""
+    side = float(np.sign(at.arclength))
+    members = [point for point in family.points if point.role == "step" and side * point.arclength >= 0]
+    return sorted(members, key=lambda point: side * point.arclength) if side else [at]
+
+
+def _happened(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    """An event of the end's kind is at the last point or beyond."""
+    if not curve.equations.links and curve.test is None:
+        raise ConvergenceError(f"a family of smooth motions in a parameter does not end in {end.kind}")
+    there = [(event.kind, event.arclength * at.arclength >= at.arclength**2) for event in family.events]
+    if (end.kind, True) in there:
+        return equal(end.kind, 0.0, 0.0, "its event is recorded")
+    return skipped(end.kind, "its event is not recorded")
+
+
+def _limited(family: Family, _: Curve, end: End, at: FamilyPoint) -> Check:
+    """There are as many steps as its sentence says."""
+    return at_least(end.kind, len(_steps(family, at)) - 1, int(end.reason.partition(" ")[0]), end.reason)
+
+
+def _failed(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    """The last orbit has nothing of what a family ends in otherwise."""
+    orbit, model = settled_on(curve, at), curve.equations.model
+    share, state = slowness(curve, orbit)
+    if at.period > SLOW.grown * min(point.period for point in _steps(family, at)) and share > SLOW.grown_share:
+        passing = not can_rest(curve) or any(passed(curve, orbit))
+        if not model.forced and passing and near_saddle(curve, orbit, state):
+            raise ConvergenceError("its period has grown beside a saddle, where families end homoclinic")
+    elif not self_excited(curve) and (met := singularity(curve, orbit, end.reason)):
+        raise ConvergenceError(met.reason)
+    return skipped(end.kind, f"a step that failed is not tried again ({end.reason})")
+
+
+def _singular(_: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    """The motion is somewhere so much faster than elsewhere."""
+    return equal(end.kind, singularity(curve, settled_on(curve, at), "") is None, 0.0, end.reason)
+
+
+def _dead(_: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    """The coordinates of a mechanism end where the orbit goes."""
+    states = settled_on(curve, at).march.states
+    return equal(end.kind, not dead_point(curve.equations.model, states, at.free), 0.0, end.reason)
+
+
+def _canard(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    """Orbits change along the last steps, and the parameter hardly does, by what is said."""
+    if not self_excited(curve):
+        raise ConvergenceError("a family of motions that keep an energy, or are driven, has no canard")
+    steps = _steps(family, at)
+    first, width = explosion(np.array([point.value for point in steps]))
+    rows = [[point.period, *portrait(curve, settled_on(curve, point))[-point.state.size :]] for point in steps[first:]]
+    if len(rows) < MEETING.fewest or changing(np.array(rows)) < SHRINKING.explosion:
+        raise ConvergenceError("the last orbits at this parameter are too few, or alike")
+    told, known = np.array([end.parameter, end.period, end.error]), np.array([at.value, at.period, width])
+    rounded = np.array([abs(at.value), at.period, abs(at.value) + width])
+    return at_most(end.kind, (np.abs(told - known) / rounded).max(), ROUNDED, "parameter, period, width")
+
+
+def _returned(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    """The last step passes an earlier orbit of the family again, as where the family was closed."""
+    steps = _steps(family, at)
+    first, last = (settled_on(curve, point) for point in steps[-2:])
+    numbers = np.array([[point.period, *point.free.values(), point.action] for point in steps])
+    gaps = (numbers - numbers[-2]) / nonzero(np.ptp(numbers, axis=0))
+    square = nonzero(float(gaps[-1] @ gaps[-1]))
+    shares = gaps @ gaps[-1] / square
+    aside = ((gaps - shares[:, None] * gaps[-1]) ** 2).sum(axis=1)
+    near = (np.abs(shares - 0.5) <= 0.5 + SAME_STEP) & (aside <= square)
+    for k in np.flatnonzero(near[: -MEETING.fewest]):
+        if passed_again(curve, first, last, portrait(curve, settled_on(curve, steps[k]))):
+            return equal(end.kind, 0.0, 0.0, f"step {k} is passed again")
+    raise ConvergenceError("its last step passes no earlier orbit again")
+
+
+def _steady(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    """The orbits, beside what they shift by, have become smaller."""
+    if not (relative := curve.equations.symmetry.relative):
+        raise ConvergenceError("the family's orbits shift in nothing")
+    paths = [beside_shifts(settled_on(curve, point).march.states, relative) for point in _steps(family, at)[-2:]]
+    sizes = [float((np.ptp(path, axis=0) / extents(curve, paths[0])).max()) for path in paths]
+    return at_most(end.kind, sizes[-1] / sizes[0], 1.0, "extent over that of the orbit before", len(sizes) > 1)
 
 
 def _target(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
@@ -324,24 +433,30 @@ def _target(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     wanted = float(end.reason.rpartition("=")[2]) if end.parameter is None else float(end.parameter)
     if (number := end.reason.removeprefix("reached ").rpartition(" = ")[0]) in at.watch:
         return replace(_watch(curve, replace(at, watch={number: wanted}), number), name=end.kind)
-    off = min(abs(number_of(point, family.parameter) - wanted) for point in (family.points[0], family.points[-1]))
-    return at_most(end.kind, off, ROUNDED * abs(wanted), end.reason)
+    off = abs(number_of(at, family.parameter) - wanted)
+    size = max(abs(wanted), float(np.abs(family.values("value")).max()))
+    return at_most(end.kind, off, ROUNDED * size, end.reason, number == family.parameter)
 
 
-def _blown_up(node: bool, family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
-    """The period has grown; what orbits come near are equilibria (a saddle-`node`) with these eigenvalues at the
-    parameter, to which the family's own orbits go."""
-    grown = at.period / float(family.values("period").min())
-    off = [GROWN / grown]
-    value, free = float(end.parameter or 0.0), dict(at.free)
-    if end.saddles and family.parameter in free:
-        step = 1 if at is family.points[-1] else -1
-        periods, values = family.values("period")[::step], family.values("value")[::step]
-        known = [np.array(saddle["eigenvalues"]) @ [1, 1j] for saddle in end.saddles or ()]
-        noise = noise_of(curve, settled_on(curve, at), family.parameter)
-        limit = saddle_node_limit(periods, values, noise) if node else homoclinic_limit(periods, values, known, noise)
-        off.append(abs(limit[0] - value) / (limit[1] + float(end.error or 0.0)))
-        free[family.parameter] = value
+def _blown_up(node: bool, many: bool, family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
+    """The period has grown; what orbits come near are equilibria (a saddle-`node`, or `many`) with these eigenvalues
+    at the parameter, to which the family's own orbits go."""
+    grown, orbit = at.period / float(family.values("period").min()), settled_on(curve, at)
+    if not end.saddles and not near_saddle(curve, orbit, slowness(curve, orbit)[1]):
+        raise ConvergenceError("the orbit is slowest near no saddle")
+    states = [np.array(saddle["state"], float) for saddle in end.saddles or ()]
+    apart = len(told_apart(curve, orbit, [(state, np.zeros(0)) for state in states]))
+    if (end.saddles is None) != (end.parameter is None):
+        raise ConvergenceError("saddles, parameter: neither is there without the other")
+    if end.saddles is not None and min(apart, 2) != 1 + many:
+        raise ConvergenceError(f"saddles: {apart} different ones, which no {end.kind} end has")
+    off, free = [GROWN / grown], dict(at.free)
+    if states:
+        value, error, period = (float(getattr(end, name)) for name in ("parameter", "error", "period"))
+        off.append(abs(period / at.period - 1.0) / ROUNDED)
+        limit = _limit(node, family, curve, end, at)
+        off += [abs(limit[0] - value) / (limit[1] + error), 0.0 if node else SHARPER * limit[1] / nonzero(error)]
+        free |= {name: value for name in free if name == family.parameter}
     model = with_parameters(curve.equations.model, free)
     equations = hamilton(model)
     linearised = _linearised(equations)
@@ -357,6 +472,21 @@ def _blown_up(node: bool, family: Family, curve: Curve, end: End, at: FamilyPoin
     return at_most(end.kind, max(off), 1.0, "of the period's growth, the saddles and the parameter, the most wrong")
 
 
+def _limit(node: bool, family: Family, curve: Curve, end: End, at: FamilyPoint) -> tuple[float, float]:
+    """The parameter to which a family's own orbits go, and its error; of an energy that of the saddle."""
+    orbit, name, saddles = settled_on(curve, at), family.parameter, end.saddles or ()
+    if name not in at.free:
+        there = replace(orbit.place, nodes=np.array(saddles[0]["state"], float)[None])
+        value = parameter_value(curve, there, name)
+        return value, ROUNDED * max(abs(value), abs(at.value))
+    step = 1 if at is family.points[-1] else -1
+    periods, values = family.values("period")[::step], family.values("value")[::step]
+    known = [np.array(saddle["eigenvalues"]) @ [1, 1j] for saddle in saddles]
+    noise = noise_of(curve, orbit, name)
+    limit = saddle_node_limit(periods, values, noise) if node else homoclinic_limit(periods, values, known, noise)
+    return limit[:2]
+
+
 def _linearised(equations: Any) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """The rates and their slopes by canonical equations."""
     variational = vector_field(equations.variational)
@@ -370,6 +500,8 @@ def _linearised(equations: Any) -> Callable[[np.ndarray], tuple[np.ndarray, np.n
 
 def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     """The equilibrium that orbits shrink to has a linear oscillation of their period."""
+    if abs(at.action) > min(abs(point.action) for point in _steps(family, at)[-MEETING.fewest :]):
+        raise ConvergenceError("the orbits do not shrink")
     value, period = end.parameter, end.period
     free = dict(at.free) | ({family.parameter: value} if value is not None and family.parameter in at.free else {})
     model, there = (with_parameters(curve.equations.model, values) for values in (free, at.free))
@@ -384,13 +516,24 @@ def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     # an orbit beside an equilibrium has the period of its linear oscillation to this share
     wanted, allowed = (period, 1e-6) if period is not None else (at.period, 1e-2)
     off = float(np.abs(turning * wanted / (2 * np.pi) - 1.0).min())
+    if value is not None and can_rest(curve):
+        still, error = rest_of(curve, settled_on(curve, at), family.parameter), float(end.error or 0.0)
+        if still is None or abs(still.value - value) > error + still.error + ROUNDED * abs(value):
+            what = "no oscillation" if still is None else f"an oscillation at {family.parameter} {still.value:.15g}"
+            raise ConvergenceError(f"there is {what}, recorded is {value:.15g}")
+        if not error >= SHARPER * still.error:
+            raise ConvergenceError(f"an error bar is recorded as {error:.1g}, and is {still.error:.1g}")
     return at_most(end.kind, off, allowed, "period over that of the linear oscillation, less 1")
 
 
 def _joined(_: Family, curve: Curve, end: End, __: FamilyPoint) -> Check:
     """The orbit of the family that is joined closes, the family's period is so many of its own, and so many times round
     a multiplier is +1, beside what is trivial: there is where another family leaves."""
-    joined: Mapping[str, Any] = end.joined or {}
+    if end.joined is None:
+        if curve.equations.links:
+            return skipped(end.kind, "of hybrid orbits the family that is joined is not recorded")
+        raise ConvergenceError(f"joined: missing, the family that is joined; {AGAIN}")
+    joined: Mapping[str, Any] = end.joined
     model = with_parameters(curve.equations.model, joined.get("free", {}))
     state, period = np.array(joined["state"], float), float(joined["period"])
     whole_period = float(end.period or period)
@@ -405,10 +548,13 @@ def _joined(_: Family, curve: Curve, end: End, __: FamilyPoint) -> Check:
 
 
 SOLVED: dict[str, Callable[[Family, Curve, End, FamilyPoint], Check]] = {
-    "target": _target, "equilibrium": _rest, "hopf": _rest, "homoclinic": partial(_blown_up, False),
-    "heteroclinic": partial(_blown_up, False), "saddle-node": partial(_blown_up, True),
+    "target": _target, "equilibrium": _rest, "hopf": _rest, "merged": _joined,
+    "homoclinic": partial(_blown_up, False, False), "heteroclinic": partial(_blown_up, False, True),
+    "saddle-node": partial(_blown_up, True, False),
+    "returned": _returned, "point limit": _limited, "relative equilibrium": _steady, "canard": _canard,
+    "singularity": _singular, "dead point": _dead, "step underflow": _failed,
 }  # fmt: skip
-"""The checks of what was solved for at an end, by its kind"""
+"""The checks of what is met at an end, by its kind; other kinds are those of events"""
 
 
 def point_checks(family: Family, number: int, certificate: Certificate, model: Model) -> Certificate:

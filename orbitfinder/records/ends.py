@@ -59,7 +59,7 @@ def end_kind(name: str) -> EndKind:
 
 
 def unknown_end(kind: str, events: Iterable[str]) -> str:
-    """What is wrong with a kind of end of a family with events of these kinds; "" where there is such a one."""
+    """What is wrong with a kind of end of a family with events of these kinds; "" where there is such."""
     known = kind in {*ENDS, *events} or loaded("families.entries:is_kind")(kind)
     return "" if known else f"kind: no family ends in {kind[:60]!a}{closest(kind, ENDS)}"
 

@@ -220,7 +220,7 @@ class End:
 
 def reached(name: str, value: float) -> str:
     """The reason of an end at a value that was asked for."""
-    return f"reached {name} = {value!r}"
+    return f"reached {name} = {float(value)!r}"
 
 
 UNITS = {"energy": "J", "period": "s"}
