@@ -43,7 +43,7 @@ from orbitfinder.orbits import method
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.hybrid import first_unknowns
 from orbitfinder.orbits.shoot import natural_pin
-from orbitfinder.records.family import Family, FamilyPoint
+from orbitfinder.records.family import AGAIN, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit, refuse_controlled
 from orbitfinder.records.reading import read_as
 
@@ -320,6 +320,8 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
     wanted = equations.size, equations.size + 1 + len(known.free)
     if (known.constant.shape, known.weights.shape) != (wanted[:1], wanted[1:]) or not np.all(known.weights > 0):
         raise InputError("curve: constant or weights do not fit the system; continue the family again")
+    if not np.all(np.abs(known.constant) < 1e15):  # whole turns are counted
+        raise InputError(f"curve.constant: {known.constant.max():g} is no turn; continue the family again")
     if not all(0 <= k < len(model.invariants) for k, _ in known.held):
         raise InputError(f"curve.held: {list(known.held)} of {len(model.invariants)} invariants; continue again")
     names = [number.name for number in model.invariants]
@@ -328,7 +330,10 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
     conditions += tuple(pinned(equations, name, value) for name, value in (others | dict(known.pins)).items())
     scales = Scales.head(known.weights, equations.size)
     watch = watches({name: number for name, number in known.watch.items() if isinstance(number, str)}, model)
-    return Curve(equations, known.constant, conditions, weights=known.weights, scales=scales, watch=watch)
+    curve = Curve(equations, known.constant, conditions, weights=known.weights, scales=scales, watch=watch)
+    if len(known.winding) == len(curve.turns) and known.winding != curve.turns:
+        raise InputError(f"curve.winding: {list(known.winding)}, of its constant {list(curve.turns)}; {AGAIN}")
+    return curve
 
 
 def curve_in(family: Family, model: Model) -> Curve:
@@ -363,6 +368,8 @@ class CurveEntry:
     held: tuple[tuple[int, float], ...]
     weights: np.ndarray
     period: float | None
+    winding: tuple[int, ...] = ()
+    """whole turns in a period, which its constant has too; not in older files"""
     cycles: int = 0
     """periods of the forcing in one period, 0 without a forcing"""
     relative: tuple[str, ...] = ()

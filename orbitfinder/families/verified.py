@@ -60,9 +60,11 @@ from orbitfinder.loops.continued import (
     scaled,
     tangent,
 )
+from orbitfinder.loops.symmetry import named as symmetry_named
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import energy as total_energy
 from orbitfinder.mechanics.newton import equilibrium
 from orbitfinder.orbits.evidence import gather, tour
 from orbitfinder.orbits.floquet import judged
@@ -82,6 +84,7 @@ from orbitfinder.records.family import (
     Reading,
     number_of,
 )
+from orbitfinder.records.orbit import incomputable
 from orbitfinder.records.reading import read_as
 
 ROUNDED = 1e-12
@@ -338,8 +341,9 @@ def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     try:
         if fault := end_fault(end, (event.kind for event in family.events)):
             raise ConvergenceError(f"{fault}; {AGAIN}")
-        return check(family, curve, end, at)
-    except (ConvergenceError, IntegrationError, ValueError, KeyError, TypeError, IndexError) as error:
+        with np.errstate(all="ignore"):  # what overflows is no number, and fails its check
+            return check(family, curve, end, at)
+    except (ConvergenceError, IntegrationError, ValueError, LookupError, TypeError, ArithmeticError) as error:
         return refused(end.kind, error, float("nan"))
 
 
@@ -451,6 +455,8 @@ def _blown_up(node: bool, many: bool, family: Family, curve: Curve, end: End, at
     if end.saddles is not None and min(apart, 2) != 1 + many:
         raise ConvergenceError(f"saddles: {apart} different ones, which no {end.kind} end has")
     off, free = [GROWN / grown], dict(at.free)
+    if node and family.parameter not in free:
+        raise ConvergenceError(f"in its {family.parameter} no family ends where equilibria are born")
     if states:
         value, error, period = (float(getattr(end, name)) for name in ("parameter", "error", "period"))
         off.append(abs(period / at.period - 1.0) / ROUNDED)
@@ -463,13 +469,14 @@ def _blown_up(node: bool, many: bool, family: Family, curve: Curve, end: End, at
     for saddle in end.saddles or ():
         x = np.array(saddle["state"])[equations.coordinates.chosen]
         if model.rates is None:
+            off.append(float(np.abs(x[equations.coordinates.size :]).max()) / SETTLED)
             x[equations.coordinates.size :] = 0.0
         rest = equilibrium(linearised, x, max(1.0, float(np.abs(x).max())))
         again, told = np.linalg.eigvals(linearised(rest.w)[1]), np.array(saddle["eigenvalues"]) @ [1, 1j]
         gaps = np.abs(again[:, None] - told)
         off += [float(np.abs(rest.w - x).max()) / (SETTLED * max(1.0, float(np.abs(x).max()))),
                 float(gaps[linear_sum_assignment(gaps)].max()) / (SETTLED * float(np.abs(told).max()))]  # fmt: skip
-    return at_most(end.kind, max(off), 1.0, "of the period's growth, the saddles and the parameter, the most wrong")
+    return at_most(end.kind, np.max(off), 1.0, "of the period's growth, the saddles and the parameter, the most wrong")
 
 
 def _limit(node: bool, family: Family, curve: Curve, end: End, at: FamilyPoint) -> tuple[float, float]:
@@ -518,7 +525,7 @@ def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     off = float(np.abs(turning * wanted / (2 * np.pi) - 1.0).min())
     if value is not None and can_rest(curve):
         still, error = rest_of(curve, settled_on(curve, at), family.parameter), float(end.error or 0.0)
-        if still is None or abs(still.value - value) > error + still.error + ROUNDED * abs(value):
+        if still is None or not abs(still.value - value) <= error + still.error + ROUNDED * abs(value):
             what = "no oscillation" if still is None else f"an oscillation at {family.parameter} {still.value:.15g}"
             raise ConvergenceError(f"there is {what}, recorded is {value:.15g}")
         if not error >= SHARPER * still.error:
@@ -526,7 +533,7 @@ def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     return at_most(end.kind, off, allowed, "period over that of the linear oscillation, less 1")
 
 
-def _joined(_: Family, curve: Curve, end: End, __: FamilyPoint) -> Check:
+def _joined(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     """The orbit of the family that is joined closes, the family's period is so many of its own, and so many times round
     a multiplier is +1, beside what is trivial: there is where another family leaves."""
     if end.joined is None:
@@ -535,10 +542,19 @@ def _joined(_: Family, curve: Curve, end: End, __: FamilyPoint) -> Check:
         raise ConvergenceError(f"joined: missing, the family that is joined; {AGAIN}")
     joined: Mapping[str, Any] = end.joined
     model = with_parameters(curve.equations.model, joined.get("free", {}))
-    state, period = np.array(joined["state"], float), float(joined["period"])
-    whole_period = float(end.period or period)
-    times = round(whole_period / period)
-    lap = tour(model, state, period, turned(model, np.array(joined["winding"]), joined.get("shift", {})))
+    state, period, turns = np.array(joined["state"], float), float(joined["period"]), np.array(joined["winding"])
+    whole_period, times = float(end.period or period), round(float(end.period or period) / period)
+    if fault := incomputable(np.append(state, turns), min(period, whole_period)):
+        raise ConvergenceError(f"joined.{fault}")
+    if not abs(whole_period / at.period - 1) < 0.5:
+        raise ConvergenceError(f"period: {whole_period:.9g}, of the family's last orbit {at.period:.9g}")
+    symmetry_named(joined["symmetry"], model)
+    numbers = {"energy": total_energy(model, state), "period": whole_period, **joined.get("free", {})}
+    for told, name in ((end.parameter, family.parameter), (joined.get("energy"), "energy")):
+        value = numbers.get(name, np.nan)
+        if told is not None and not abs(value - told) <= ROUNDED * abs(value) + float(end.error or 0.0):
+            raise ConvergenceError(f"{name} is {value:.15g} of the orbit that is joined, recorded {told:.15g}")
+    lap = tour(model, state, period, turned(model, turns, joined.get("shift", {})))
     whole = np.linalg.matrix_power(lap.map(), times)
     values = np.linalg.eigvals(whole).astype(complex)
     roots = judged(values).indices if lap.conservative else values

@@ -51,7 +51,7 @@ from orbitfinder.orbits.reduction import reduction
 from orbitfinder.records.certificate import Certificate, Check, at_least, at_most, equal, refused, same
 from orbitfinder.records.codec import entries_of
 from orbitfinder.records.family import FamilyPoint
-from orbitfinder.records.orbit import DIGESTED, SHIFT, Orbit, digest, orbit_to_document
+from orbitfinder.records.orbit import DIGESTED, SHIFT, Orbit, digest, incomputable, orbit_to_document
 from orbitfinder.records.reading import bounded
 
 MOST_TURNS = 10**6
@@ -164,10 +164,12 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
     if fault := _malformed(orbit):
         return orbit, Certificate((refused("finite", fault, float("nan")),))
     verifier = verifier_of(orbit, model)
+    if fault := incomputable(orbit.state, orbit.period):
+        return orbit, Certificate((refused(verifier.missing, f"{fault}; find the orbit again"),))
     try:
-        _computable(orbit)
-        seen, second = verifier.gather(orbit, model, turns)
-    except (ConvergenceError, IntegrationError) as error:
+        with np.errstate(all="ignore"):  # what overflows is no number, and fails its check
+            seen, second = verifier.gather(orbit, model, turns)
+    except (ConvergenceError, IntegrationError, np.linalg.LinAlgError) as error:
         return orbit, Certificate((refused(verifier.missing, error),))
     orbit = _better_known(orbit, seen.floquet) if better and isinstance(seen, Evidence) else orbit
     trial = Trial(orbit, model, turns, allowed, seen, second)
@@ -184,14 +186,6 @@ def _malformed(orbit: Orbit) -> str:
     except InputError as error:
         return str(error)
     return "" if orbit.period > 0 else f"record: period: {orbit.period:g} is no period; find the orbit again"
-
-
-def _computable(orbit: Orbit, farthest: float = 1e100) -> None:
-    """Raises `IntegrationError` for a state, or a period or its inverse, whose squares are no numbers."""
-    sizes = ("state", float(np.abs(orbit.state).max(initial=0.0)), 0.0), ("period", orbit.period, 1 / farthest)
-    for name, size, least in sizes:
-        if not least <= size < farthest:
-            raise IntegrationError(f"{name}: {size:g} is nothing to compute with; find the orbit again")
 
 
 @dataclass(frozen=True)

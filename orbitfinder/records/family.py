@@ -25,7 +25,7 @@ from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.records.codec import Complexes, Filed, Unknown, check_format, entries_of, layout, plain
 from orbitfinder.records.ends import unknown_end
 from orbitfinder.records.journal import append_line, read_lines
-from orbitfinder.records.orbit import Orbit, system_at
+from orbitfinder.records.orbit import Orbit, incomputable, system_at
 from orbitfinder.records.reading import (
     arrays,
     content_digest,
@@ -55,6 +55,8 @@ def _check_place(member: Any) -> None:
     size, nodes, mesh = member.state.size, member.shooting_nodes, member.mesh
     if member.state.ndim != 1 or not size or not member.period > 0:
         raise ValueError(f"state: {plural(size, 'number')}, period {member.period}: no orbit")
+    if fault := incomputable(member.state, member.period):
+        raise ValueError(fault)
     rising = mesh.ndim == 1 and mesh.size > len(nodes) and bool(np.all(np.diff(mesh) > 0))
     if nodes.size and (nodes.shape[1:] != (size,) or not rising or (mesh.size - 1) % len(nodes)):
         raise ValueError("nodes: do not fit the state or the mesh")

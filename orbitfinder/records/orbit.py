@@ -185,6 +185,15 @@ DIGESTED = (
 )  # fmt: skip
 
 
+def incomputable(state: np.ndarray, period: float, farthest: float = 1e100) -> str:
+    """What squares or inverses overflow of, of a state (d) and a period (s), in words; "" where they do not."""
+    sizes = ("state", float(np.abs(state).max(initial=0.0)), 0.0), ("period", period, 1 / farthest)
+    wrong = [
+        f"{name}: {size:g} is nothing to compute with" for name, size, least in sizes if not least <= size < farthest
+    ]
+    return wrong[0] if wrong else ""
+
+
 def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping[str, Any]:
     """The description of a system with some physical parameters changed: `length3` is the third entry of `length`.
 
