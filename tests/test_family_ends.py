@@ -560,7 +560,10 @@ def test_loops_that_may_not_close_there_are_left_to_the_family():
     check_reachable(made, "push", {"until": [-1.0], "at": []})
 
 
-SHIPPED = {name: ROOT / "results" / "families" / name / "family.json" for name in ("five-bar-fast", "quadruple-mode-1")}
+SHIPPED = {
+    name: ROOT / "results" / "families" / name / "family.json"
+    for name in ("five-bar-fast", "five-bar-slow", "quadruple-mode-1")
+}
 FALSE = [
     End("point limit", "500 points were asked for"),
     End("target", "reached energy = 0.1"),

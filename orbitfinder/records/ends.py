@@ -5,6 +5,7 @@ One that is not here is no end, unless it is a kind of event, in which families 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Any
@@ -16,7 +17,7 @@ from orbitfinder.errors import closest
 
 @dataclass(frozen=True)
 class EndKind:
-    """A kind of end: what its sentence `begins` with, the fields that it `says` besides, and those that it `may` say.
+    """A kind of end: the pattern its sentence `begins` with, the fields that it `says` and those that it `may` say.
 
     `asked` for, so that it moves with what is asked; `lengthened` by more points; `closed`, so that there is no other
     direction; `outside`, where the last orbit that was met is none of the family's; or `stuck`, where another method
@@ -35,7 +36,7 @@ class EndKind:
 
 ENDS = {
     "target": EndKind("reached ", may="parameter", asked=True),
-    "point limit": EndKind(lengthened=True),
+    "point limit": EndKind(r"\d+ points? w", lengthened=True),
     "returned": EndKind("a closed family", closed=True),
     "equilibrium": EndKind("the orbits shrink to the equilibrium", may="parameter period error", outside=True),
     "relative equilibrium": EndKind("the orbits shrink to a relative equilibrium", outside=True),
@@ -74,7 +75,7 @@ def end_fault(end: Any, events: Iterable[str]) -> str:
         return f"{missing[0]}: missing, which is solved for at an end of kind {end.kind}"
     if more := [name for name in told if name not in f"{kind.says} {kind.may}".split()]:
         return f"{more[0]}: there is none at an end of kind {end.kind}"
-    meant = [name for name, each in ENDS.items() if each.begins and end.reason.startswith(each.begins)]
+    meant = [name for name, each in ENDS.items() if each.begins and re.match(each.begins, end.reason)]
     if meant and end.kind not in meant:
         return f"kind: {end.kind}, where its reason says {meant[0]}: {end.reason[:60]!a}"
     return ""
