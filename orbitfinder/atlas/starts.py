@@ -569,7 +569,7 @@ def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator
     times, states = yield from simulated(context, state, context.settings.recurrence_span * high)
     step, window = float(times[1]), int(np.ceil(high / times[1]))
     apart = max(1, window // context.settings.recurrence_beginnings)
-    windows = sliding_window_view(states, window, axis=0)[: len(times) - window : apart]
+    windows = sliding_window_view(np.asfortranarray(states), window, axis=0)[: len(times) - window : apart]
     gaps = return_gaps(context, windows)
     at, length = np.nonzero((gaps[:, 1:-1] <= gaps[:, :-2]) & (gaps[:, 1:-1] <= gaps[:, 2:]))
     length += 1
@@ -604,13 +604,12 @@ def _strobed(
 def return_gaps(context: Context, windows: np.ndarray) -> np.ndarray:
     """How far the states of each window (k x d x w) are from its first one (k x w), whatever symmetry they have."""
     n, angular, gaps = context.model.degrees_of_freedom, context.model.angular, np.zeros(windows.shape[::2])
-    fast = np.square(windows[:, n:] / context.sizes[n:, None]).sum(axis=(1, 2)) / (n * windows.shape[2])
-    rates = np.sqrt(nonzero(fast))[:, None]
+    squares = np.einsum("kdw,kdw->kd", windows[:, n:], windows[:, n:]) @ context.sizes[n:] ** -2.0
+    rates = np.sqrt(nonzero(squares / (n * windows.shape[2])))[:, None]
     for k, (part, size) in enumerate(zip(windows.swapaxes(0, 1), context.sizes, strict=True)):
-        moved = (part - part[:, :1]) / size
+        moved = part - part[:, :1]
+        moved /= size if k < n else size * rates
         if k < n and angular[k]:
             moved -= 2 * np.pi * np.rint(moved / (2 * np.pi))
-        elif k >= n:
-            moved /= rates
         np.maximum(gaps, np.abs(moved), out=gaps)
     return gaps
