@@ -42,6 +42,7 @@ from orbitfinder.loops.problem import Problem, loop_of
 from orbitfinder.loops.scales import Measures
 from orbitfinder.mechanics.newton import Settings, Solved, Solver, chording, largest, stepping
 
+SMOOTHING = Settings(floor=1e-8, most_evaluations=3)
 POLISH = Settings(floor=1e-13, round_off=1e-13, converged=1e-10, most_evaluations=8)
 GAVE_UP = "iteration limit", "hopeless start"
 LOST, NARROWEST = "the state is not finite", 1e-13
@@ -78,6 +79,7 @@ class ClosingSettings:
     """bound on rates, in units of the guess's root mean square; a step beyond it is not taken"""
     largest_unfolding: float = 100.0
     """bound on |s| times the clock (s); values of 10 have been seen to come back, this has left the problem"""
+    smoothing: Settings = SMOOTHING
     polish: Settings = POLISH
     longest: float = 0.3
     shortest: float = 1e-3
@@ -466,29 +468,36 @@ def _evaluated(trials: Sequence[tuple[Rank, np.ndarray, np.ndarray]]) -> None:
 
 
 def polished(scaled: ScaledLoop, w: Unknowns, jacobian: np.ndarray) -> Course[Unknowns]:
-    """w to round-off, by chord steps with an accurate residual, on the mesh that it needs; `Stalled` above 1e-10."""
+    """w to round-off, by chord steps with an accurate residual, on the mesh that it needs; `Stalled` above 1e-10.
+
+    What the mesh of the cheap stage is wrong by is gone with first steps on a mesh that is not so dear.
+    """
     equations, measures = scaled.loop.equations, scaled.measures
 
     def solver(jacobian: np.ndarray) -> Solver:
         inverse = np.linalg.pinv(jacobian, rcond=1e-13)
         return lambda rows: -(inverse @ rows) * measures.columns
 
-    w = replace(scaled, step=scaled.step / scaled.settings.finer).at(w)
-    ends, mesh = yield from confirmed(scaled, w)
-    w = replace(w, mesh=mesh)
-    rows = np.asarray(scaled.loop.rows(w, ends) / measures.rows)
-    course = chording(w, rows, solver(jacobian), scaled.settings.polish, Unknowns.moved)
-    answer: Any = None
-    while True:
-        try:
-            renewed, at = course.send(answer)
-        except StopIteration as end:
-            solved: Solved[Unknowns] = end.value
-            break
-        if renewed:
-            answer = solver((yield Differentiated(scaled, at))[1])
-        else:
-            answer = scaled.loop.rows(at, (yield Marched(equations, at))) / measures.rows
+    def rows(w: Unknowns, ends: np.ndarray) -> np.ndarray:
+        return np.asarray(scaled.loop.rows(w, ends) / measures.rows)
+
+    def chords(w: Unknowns, first: np.ndarray, by: Solver, settings: Settings) -> Course[Solved[Unknowns]]:
+        course, answer = chording(w, first, by, settings, Unknowns.moved), cast(Any, None)
+        while True:
+            try:
+                renewed, at = course.send(answer)
+            except StopIteration as end:
+                return cast(Solved[Unknowns], end.value)
+            if renewed:
+                answer = solver((yield Differentiated(scaled, at))[1])
+            else:
+                answer = rows(at, (yield Marched(equations, at)))
+
+    how, w = scaled.settings, replace(scaled, step=scaled.step / scaled.settings.finer).at(w)
+    near = yield from chords(w, rows(w, (yield Marched(equations, w))), solver(jacobian), how.smoothing)
+    ends, mesh = yield from confirmed(scaled, near.w)
+    w = replace(near.w, mesh=mesh)
+    solved = yield from chords(w, rows(w, ends), near.solver, how.polish)
     if not solved.converged:
         raise Stalled(solved.w)
     return solved.w
