@@ -42,8 +42,10 @@ from orbitfinder.loops.problem import Problem, loop_of
 from orbitfinder.loops.scales import Measures
 from orbitfinder.mechanics.newton import Settings, Solved, Solver, chording, largest, stepping
 
-SMOOTHING = Settings(floor=1e-8, most_evaluations=3)
-POLISH = Settings(floor=1e-13, round_off=1e-13, converged=1e-10, most_evaluations=8)
+SMOOTHING, POLISH = (
+    Settings(floor=1e-8, most_evaluations=3),
+    Settings(floor=1e-13, round_off=1e-13, converged=1e-10, most_evaluations=8),
+)
 GAVE_UP = "iteration limit", "hopeless start"
 LOST, NARROWEST = "the state is not finite", 1e-13
 """What a Failure says; length along the valley between which a zero is known well enough"""
