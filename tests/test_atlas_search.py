@@ -358,6 +358,13 @@ def test_a_symmetric_motion_is_about_the_centre_that_it_has(one):
     assert found.nodes[2][:3] == pytest.approx(-found.nodes[0][:3], abs=1e-12) and found.nodes[0][2] > np.pi / 2
 
 
+def test_a_fast_motion_is_seen_to_rest(triple):
+    """It rests between two of the 513 samples in which the certificate looks for symmetries, and was rejected."""
+    found = perform(context_of(triple, Target(-30.0, (0.5, 10.0))), 0, [Job(683)], [])[0].orbit
+    assert found.symmetry == "brake+reflection" and found.period == pytest.approx(8.45553214088, rel=1e-10)
+    assert not certify(replace(found, symmetry="reversal"), triple).passed
+
+
 def test_a_loop_keeps_as_many_states_as_its_action_asks_for(one):
     loop = alone(refine.converged(one, make_start(one, 0, 13)))
     march = one.equations["none"].march.arcs[0]

@@ -826,7 +826,7 @@ def _crossings(times: np.ndarray, pieces: np.ndarray, level: float) -> np.ndarra
     near = np.flatnonzero(np.abs(pieces[-1] - level) <= (1 + 1e-9) * reach)
     if not near.size:
         return times[:0]
-    begins = np.append(0.0, np.cumsum(lasts[near]))  # of these alone, one after another
+    begins = np.append(0.0, np.cumsum(lasts[near]))  # of these alone, back to back
     roots = PPoly(pieces[:, near], begins).solve(level, discontinuity=False, extrapolate=False)
     roots = roots[np.isfinite(roots)]
     own = np.minimum(np.searchsorted(begins, roots, side="right") - 1, near.size - 1)

@@ -14,6 +14,7 @@ from orbitfinder._runtime.rooms import filled
 from orbitfinder._runtime.sizes import LEAST, nonzero, size_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.automaton import Arc
+from orbitfinder.integrate.dop853 import integrate_in
 from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.field import rates_of, vector_field
@@ -595,17 +596,22 @@ def _record_checks(trial: Trial, seen: Evidence, multipliers: float) -> Iterator
     yield trial.record()
 
 
-def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
+def _same_symmetry(orbit: Orbit, evidence: Recomputed, model: Model) -> Check:
     """The recorded symmetry is the one found; of what a model declares, a record from before may say nothing.
 
-    A family's point claims the symmetry of its formulation only, and may have more.
+    Fast motions pass their centre between samples: before a symmetry is denied, more of them are looked at. A family's
+    point claims the symmetry of its formulation only, and may have more.
     """
     model = knowing(model, orbit.symmetry)
-    names = [
-        recognise(evidence.times, evidence.states, model, own=own)
-        for own in (True, False)[: 1 + bool(model.symmetries)]
-    ]
-    known = symmetries_of(model)
+
+    def recognised(times: np.ndarray, states: np.ndarray) -> list[str]:
+        return [recognise(times, states, model, own=own) for own in (True, False)[: 1 + bool(model.symmetries)]]
+
+    names, known = recognised(evidence.times, evidence.states), symmetries_of(model)
+    if orbit.symmetry not in names and isinstance(evidence, Evidence):
+        times = np.linspace(0.0, orbit.period, 4 * evidence.times.size - 3)
+        field = vector_field(accelerations(model))
+        names += recognised(times, integrate_in(evidence.extents, field, orbit.state, times))
     if isinstance(orbit, FamilyPoint) and orbit.symmetry in known:
         had = {one for name in names for one in (*known[name].maps, *known[name].both)}
         names += [orbit.symmetry] * (set(known[orbit.symmetry].maps) <= had)
