@@ -7,6 +7,8 @@ import json
 import os
 import shutil
 import sqlite3
+import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -190,6 +192,80 @@ def own_cache(pytestconfig, tmp_path_factory):
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         patch.setattr(os, "fsync", lambda handle: None)  # for when the power fails; here it waits for the disk
         yield
+
+
+BUDGET = Path(__file__).parent / "budget.toml"
+"""Which tests take more than a second: those of the quick set with seconds and reason, and those that are slow."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--times FILE`: processor seconds of each test and of each shared fixture, for benchmarks/slow_tests.py."""
+    parser.addoption("--times", metavar="FILE", help="write processor seconds per test and per shared fixture (JSON)")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that `budget.toml` lists as slow."""
+    listed = set(tomllib.loads(BUDGET.read_text(encoding="utf-8"))["slow"])
+    for item in items:
+        if not listed.isdisjoint((item.nodeid, item.nodeid.partition("[")[0])):
+            item.add_marker("slow")
+
+
+def processor_seconds() -> float:
+    """Processor time of this process and of its children that have ended."""
+    return sum(os.times()[:4])
+
+
+class Times:
+    """Processor seconds of each test with its own fixtures, and of each fixture that tests share (`fixture: NAME`)."""
+
+    def __init__(self) -> None:
+        self.last = 0.0
+        self.shared: list[tuple[str, float]] = []
+        self.spent: Counter[str] = Counter()
+
+    def pytest_collection_finish(self) -> None:
+        """What was spent before any test is no test's."""
+        self.last = processor_seconds()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef, request):
+        """A fixture's own time: what it needs was set up before."""
+        began = processor_seconds()
+        try:
+            return (yield)
+        finally:
+            if fixturedef.scope != "function":
+                name = f"fixture: {fixturedef.baseid}::{fixturedef.argname}"
+                self.shared.append((name, processor_seconds() - began))
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self, item, call):
+        """Hand the time since the last phase to the process that reports."""
+        report = yield
+        now = processor_seconds()
+        spent = [(item.nodeid, now - self.last - sum(seconds for _, seconds in self.shared)), *self.shared]
+        report.user_properties = [*report.user_properties, ("processor seconds", spent)]
+        self.last, self.shared = now, []
+        return report
+
+    def pytest_runtest_logreport(self, report) -> None:
+        """Add up the phases of each test; of a fixture that several processes made, the longest."""
+        for name, seconds in dict(report.user_properties).get("processor seconds", ()):
+            self.spent[name] = max(self.spent[name], seconds) if name.startswith("fixture") else self.spent[name] + seconds
+
+    def pytest_sessionfinish(self, session) -> None:
+        """Write them, most expensive first."""
+        if not hasattr(session.config, "workerinput"):
+            rows = {name: round(seconds, 3) for name, seconds in self.spent.most_common()}
+            Path(session.config.getoption("times")).write_text(json.dumps(rows, indent=0), encoding="utf-8")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Measure where it was asked for."""
+    if config.getoption("times"):
+        config.pluginmanager.register(Times())
 
 
 def pytest_collection_finish() -> None:

