@@ -1,29 +1,43 @@
-"""How long each file's slow tests take, and whether they pass: the table in docs/explanation/testing.md.
+"""What the tests cost: the slow ones in parts, with a journal and a page; and the quick ones against their budget.
 
-Each file is run by itself, in one process, one after the other; a file that was not run keeps its row, and a new one
-says "not measured". Run all on the final code of a release.
+Each file's slow tests are run by themselves, in one process, one file after the other. Every run is a line of
+`slow_tests.jsonl`, and the table in docs/explanation/testing.md is written from it: seconds, result, and the commit on
+which the file last passed. With `--budget` those run that have waited longest, as many as the seconds allow.
 
     python benchmarks/slow_tests.py [FILE ...] [--limit SECONDS]     all files with slow tests, unless some are named
+    python benchmarks/slow_tests.py --budget SECONDS                 a part of them
+    python benchmarks/slow_tests.py --over TIMES      what `pytest --times TIMES` measured above its budget
+    python benchmarks/slow_tests.py --mark TIMES      write what it measured above a second into tests/budget.toml
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import subprocess
 import sys
+import tomllib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from machine import load, processor
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "explanation" / "testing.md"
+JOURNAL = Path(__file__).with_suffix(".jsonl")
+BUDGET = ROOT / "tests" / "budget.toml"
 BEGIN, END = "<!-- slow tests: benchmarks/slow_tests.py -->", "<!-- end of slow tests -->"
-HEAD = ["| file | slow tests | seconds | the longest | result |", "|---|---|---|---|---|"]
+HEAD = ["| file | slow tests | seconds | the longest | result | last passed on |", "|---|---|---|---|---|---|"]
 LIMIT = 3600.0
+QUICK, MARGIN = 1.0, 2.0
+"""A test or shared fixture above so many processor seconds is slow or stands in the budget; above so many times its
+seconds it fails the check, since processors differ and the first of a process pays for what all share."""
+MOST, ALTOGETHER = 60, 150.0
+"""The budget's entries and processor seconds at most"""
 
 
 def pytest(*arguments: str, limit: float = LIMIT) -> str:
@@ -42,41 +56,103 @@ def collected() -> Counter[str]:
     return Counter(re.findall(r"^tests/(\w+\.py)::", pytest("--collect-only"), re.MULTILINE))
 
 
-def measured(file: str, count: int, limit: float) -> str:
-    """A row: seconds with fixtures, the longest test, and what came out."""
+def commit() -> str:
+    """The commit that is checked out, with a + where the package or its tests differ from it."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+
+    return git("rev-parse", "--short=8", "HEAD") + "+" * bool(git("status", "--short", "orbitfinder", "tests"))
+
+
+def measured(file: str, count: int, limit: float) -> dict[str, Any]:
+    """A line of the journal: seconds with fixtures, the longest test, and the result."""
     printed = pytest(f"tests/{file}", "--durations=0", "--durations-min=0", limit=limit)
-    if not printed:
-        return f"| {file} | {count} | more than {limit:.0f} | | ended |"
-    return read(file, count, printed)
+    entry = read(printed) if printed else {"seconds": limit, "longest": "", "result": "ended", "passed": False}
+    kernels = os.environ.get("OPENBLAS_CORETYPE", "")
+    return {"file": file, "tests": count, "commit": commit(), "kernels": kernels, **entry}
 
 
-def read(file: str, count: int, printed: str) -> str:
-    """The row by what pytest printed."""
+def read(printed: str) -> dict[str, Any]:
+    """The same by what pytest printed."""
     spent: Counter[str] = Counter()
     for seconds, name in re.findall(r"^([\d.]+)s +(?:call|setup|teardown) +\S+?::(\S+)", printed, re.MULTILINE):
         spent[name] += float(seconds)  # type: ignore[assignment]
     name, longest = spent.most_common(1)[0] if spent else ("", 0.0)
     last = re.findall(r"^=*\s*((?:\d+ \w+,? ?)+) in ", printed, re.MULTILINE)
     result = re.sub(r",? *\d+ (deselected|warnings?)", "", last[-1]).strip(", ") if last else "no summary"
-    return f"| {file} | {count} | {sum(spent.values()):.0f} | {name} {longest:.0f} s | {result} |"
+    passed = bool(last) and not re.search("failed|error", result)
+    return {
+        "seconds": round(sum(spent.values())), "longest": f"{name} {longest:.0f} s", "result": result, "passed": passed
+    }  # fmt: skip
 
 
-def table(counts: Mapping[str, int], rows: Mapping[str, str]) -> list[str]:
-    """A row of each file; where there is none, or the file has more or fewer tests by now, that it was not measured."""
+def entries() -> list[dict[str, Any]]:
+    """The lines of the journal."""
+    return [json.loads(line) for line in JOURNAL.read_text(encoding="utf-8").splitlines()] if JOURNAL.exists() else []
+
+
+def table(counts: Mapping[str, int], journal: Iterable[Mapping[str, Any]]) -> list[str]:
+    """A row per file: its last run, unless the file has more or fewer tests by now, and the last that passed."""
+    runs = {entry["file"]: entry for entry in journal}
+    passed = {entry["file"]: entry["commit"] for entry in journal if entry["passed"]}
     lines = list(HEAD)
     for file, count in sorted(counts.items()):
-        known = rows.get(file, "")
-        fresh = known.startswith(f"| {file} | {count} |")
-        lines.append(known if fresh else f"| {file} | {count} | not measured | | |")
+        last, since = runs.get(file, {"tests": None}), passed.get(file, "")
+        fresh = f"{last['seconds']} | {last['longest']} | {last['result']}" if last["tests"] == count else "not run | |"
+        lines.append(f"| {file} | {count} | {fresh} | {since} |")
     return lines
 
 
-def kept(text: str) -> tuple[str, dict[str, str], str]:
-    """The page before the table, its rows by file, and the page after it."""
+def waiting(counts: Mapping[str, int], journal: Iterable[Mapping[str, Any]], budget: float) -> list[str]:
+    """The files to run within so many seconds: those that never passed, then those whose last pass is oldest."""
+    seconds = {entry["file"]: entry["seconds"] for entry in journal}
+    order = {entry["file"]: k for k, entry in enumerate(journal) if entry["passed"]}
+    chosen = list[str]()
+    for file in sorted(counts, key=lambda file: (order.get(file, -1), file)):
+        expected = seconds.get(file, 2.0 * counts[file])
+        if expected <= budget:
+            chosen.append(file)
+            budget -= expected
+    return chosen
+
+
+def replaced(text: str, rows: Iterable[str]) -> str:
+    """The page with other rows in its table."""
     before, _, rest = text.partition(BEGIN)
-    inside, _, after = rest.partition(END)
-    rows = {row.split("|")[1].strip(): row for row in inside.splitlines() if row.startswith("| test_")}
-    return before, rows, after
+    return "\n".join([before + BEGIN, *rows, END + rest.partition(END)[2]])
+
+
+def over(times: Mapping[str, float], budget: Mapping[str, Any]) -> list[str]:
+    """Sentences on what took longer than it may, and on a budget that is larger than it may be."""
+    quick = {entry["name"]: entry["seconds"] for entry in budget["quick"]}
+    found = [
+        f"{name}: {seconds:.1f} s of processor time, allowed are {quick.get(name, QUICK):g} s"
+        for name, seconds in times.items()
+        if seconds > MARGIN * quick.get(name, QUICK)
+    ]
+    if len(quick) > MOST or sum(quick.values()) > ALTOGETHER:
+        found.append(
+            f"tests/budget.toml: {len(quick)} entries, {sum(quick.values()):g} s; at most {MOST}, {ALTOGETHER:g} s"
+        )
+    return found
+
+
+def marked(measured: Mapping[str, Any], budget: Mapping[str, Any]) -> list[str]:
+    """The tests that are slow: those listed, those above a second, and all that use a shared fixture above it.
+
+    Where all parameters of a test are slow, the test is listed without them.
+    """
+    quick = {entry["name"] for entry in budget["quick"]}
+    dear = {name for name, seconds in measured["seconds"].items() if seconds > QUICK and name not in quick}
+    slow = {
+        test
+        for test, fixtures in measured["uses"].items()
+        if (test in dear or dear & set(fixtures)) and test not in quick
+    }
+    every = Counter(test.partition("[")[0] for test in measured["uses"])
+    found = Counter(test.partition("[")[0] for test in slow)
+    return sorted({*budget["slow"], *(t if found[f := t.partition("[")[0]] < every[f] else f for t in slow)})
 
 
 def main() -> int:
@@ -84,19 +160,36 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("files", nargs="*")
     parser.add_argument("--limit", type=float, default=LIMIT)
+    parser.add_argument("--budget", type=float)
+    parser.add_argument("--over", type=Path, metavar="TIMES")
+    parser.add_argument("--mark", type=Path, metavar="TIMES")
     chosen = parser.parse_args()
+    if times := chosen.over or chosen.mark:
+        budget, spent = tomllib.loads(BUDGET.read_text(encoding="utf-8")), json.loads(times.read_text(encoding="utf-8"))
+        if chosen.over:
+            sentences = over(spent["seconds"], budget)
+            print("\n".join(sentences) or "every quick test is within its budget")
+            return int(bool(sentences))
+        head = BUDGET.read_text(encoding="utf-8").partition("slow = [")[0]
+        BUDGET.write_text(
+            f"{head}slow = [\n{''.join(f'  {json.dumps(one)},{chr(10)}' for one in marked(spent, budget))}]\n"
+        )
+        return 0
     counts = collected()
     wanted = [Path(file).name for file in chosen.files] or sorted(counts)
     if unknown := [file for file in wanted if file not in counts]:
         parser.error(f"{unknown[0]}: has no slow tests; there are {', '.join(sorted(counts))}")
+    if chosen.budget is not None:
+        wanted = waiting(counts, entries(), chosen.budget)
     failed = False
     for file in wanted:
-        row = measured(file, counts[file], chosen.limit)
-        failed |= "failed" in row or "error" in row or "ended" in row
-        print(row, flush=True)
-        before, rows, after = kept(PAGE.read_text(encoding="utf-8"))
-        lines = table(counts, rows | {file: row})
-        PAGE.write_text("\n".join([before + BEGIN, *lines, END + after]), encoding="utf-8")
+        entry = measured(file, counts[file], chosen.limit)
+        failed |= not entry["passed"]
+        with JOURNAL.open("a", encoding="utf-8") as journal:
+            journal.write(json.dumps(entry) + "\n")
+        rows = table(counts, entries())
+        print(next(row for row in rows if row.startswith(f"| {file} ")), flush=True)
+        PAGE.write_text(replaced(PAGE.read_text(encoding="utf-8"), rows), encoding="utf-8")
     print(f"{processor()}, {load()}")
     return int(failed)
 

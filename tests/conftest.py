@@ -217,6 +217,11 @@ def processor_seconds() -> float:
     return sum(os.times()[:4])
 
 
+def shared_name(fixturedef) -> str:
+    """What a fixture that tests share is called in the times and the budget."""
+    return f"fixture: {fixturedef.baseid}::{fixturedef.argname}"
+
+
 class Times:
     """Processor seconds of each test with its own fixtures, and of each fixture that tests share (`fixture: NAME`)."""
 
@@ -224,6 +229,7 @@ class Times:
         self.last = 0.0
         self.shared: list[tuple[str, float]] = []
         self.spent: Counter[str] = Counter()
+        self.uses: dict[str, list[str]] = {}
 
     def pytest_collection_finish(self) -> None:
         """What was spent before any test is no test's."""
@@ -237,8 +243,7 @@ class Times:
             return (yield)
         finally:
             if fixturedef.scope != "function":
-                name = f"fixture: {fixturedef.baseid}::{fixturedef.argname}"
-                self.shared.append((name, processor_seconds() - began))
+                self.shared.append((shared_name(fixturedef), processor_seconds() - began))
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self, item, call):
@@ -246,20 +251,30 @@ class Times:
         report = yield
         now = processor_seconds()
         spent = [(item.nodeid, now - self.last - sum(seconds for _, seconds in self.shared)), *self.shared]
-        report.user_properties = [*report.user_properties, ("processor seconds", spent)]
+        uses = [
+            shared_name(known[-1])
+            for known in item._fixtureinfo.name2fixturedefs.values()
+            if known[-1].scope != "function"
+        ]
+        report.user_properties = [*report.user_properties, ("processor seconds", spent), ("uses", uses)]
         self.last, self.shared = now, []
         return report
 
     def pytest_runtest_logreport(self, report) -> None:
         """Add up the phases of each test; of a fixture that several processes made, the longest."""
-        for name, seconds in dict(report.user_properties).get("processor seconds", ()):
-            self.spent[name] = max(self.spent[name], seconds) if name.startswith("fixture") else self.spent[name] + seconds
+        properties = dict(report.user_properties)
+        self.uses[report.nodeid] = properties.get("uses", [])
+        for name, seconds in properties.get("processor seconds", ()):
+            self.spent[name] = (
+                max(self.spent[name], seconds) if name.startswith("fixture") else self.spent[name] + seconds
+            )
 
     def pytest_sessionfinish(self, session) -> None:
         """Write them, most expensive first."""
         if not hasattr(session.config, "workerinput"):
             rows = {name: round(seconds, 3) for name, seconds in self.spent.most_common()}
-            Path(session.config.getoption("times")).write_text(json.dumps(rows, indent=0), encoding="utf-8")
+            text = json.dumps({"seconds": rows, "uses": self.uses}, indent=0)
+            Path(session.config.getoption("times")).write_text(text, encoding="utf-8")
 
 
 def pytest_configure(config: pytest.Config) -> None:

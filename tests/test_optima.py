@@ -210,7 +210,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def test_a_journal_cut_anywhere_ends_the_same(calm: Calm, tmp_path: Path, solved: list[str], lines: int) -> None:
     """Before, at and beyond a corner and where equations were stated anew; what it has is not solved again."""
     undisturbed, whole, count = calm
-    lines %= len(whole)  # how many there are depends on the processor: the last steps before a limit's end are round-off
+    lines %= len(whole)  # how many depends on the processor: the last steps before the end are round-off
     journal = tmp_path / "pick" / "optima.jsonl"
     journal.parent.mkdir()
     journal.write_bytes(b"".join(whole[:lines]) + whole[lines][:99])

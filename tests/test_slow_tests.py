@@ -1,7 +1,7 @@
-"""The table of slow tests in docs/explanation/testing.md: read from what pytest prints, kept where it was not run."""
+"""benchmarks/slow_tests.py: what pytest prints is read, runs are kept, the budget of the quick tests holds."""
 
-import re
 import sys
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -17,28 +17,80 @@ PRINTED = """..F
 FAILED tests/test_a.py::test_short
 1 failed, 2 passed, 28 deselected in 17.05s
 """
+FAILED = {"file": "test_a.py", "tests": 3, "commit": "2b", "kernels": "", **slow_tests.read(PRINTED)}
+PASSED = {**FAILED, "commit": "1a", "result": "3 passed", "passed": True, "seconds": 20}
 
 
-def test_a_row_has_seconds_the_longest_and_the_result():
-    row = slow_tests.read("test_a.py", 3, PRINTED)
-    assert row == "| test_a.py | 3 | 16 | test_long[one] 15 s | 1 failed, 2 passed |"
+def test_a_run_has_seconds_the_longest_and_the_result():
+    assert (FAILED["seconds"], FAILED["longest"]) == (16, "test_long[one] 15 s")
+    assert (FAILED["result"], FAILED["passed"]) == ("1 failed, 2 passed", False)
+    assert slow_tests.read("12 passed in 3 s")["passed"] and not slow_tests.read("Killed")["passed"]
 
 
-def test_rows_are_kept_and_a_changed_file_is_not_measured():
-    row = slow_tests.read("test_a.py", 3, PRINTED)
-    page = "\n".join(
-        ["before", slow_tests.BEGIN, *slow_tests.table({"test_a.py": 3}, {"test_a.py": row}), slow_tests.END]
-    )
-    before, rows, after = slow_tests.kept(page + "\nafter")
-    assert (before, rows, after) == ("before\n", {"test_a.py": row}, "\nafter")
-    assert slow_tests.table({"test_a.py": 3}, rows)[-1] == row
-    lines = slow_tests.table({"test_a.py": 4, "test_b.py": 1}, rows)
-    assert lines[-2:] == ["| test_a.py | 4 | not measured | | |", "| test_b.py | 1 | not measured | | |"]
+def test_the_table_has_the_last_run_and_the_commit_that_last_passed():
+    journal = [PASSED, FAILED]
+    assert slow_tests.table({"test_a.py": 3}, journal)[2:] == [
+        "| test_a.py | 3 | 16 | test_long[one] 15 s | 1 failed, 2 passed | 1a |"
+    ]
+    assert slow_tests.table({"test_a.py": 4, "test_b.py": 1}, journal)[2:] == [
+        "| test_a.py | 4 | not run | | | 1a |",
+        "| test_b.py | 1 | not run | | |  |",
+    ]
+    page = slow_tests.replaced(f"before\n{slow_tests.BEGIN}\nold\n{slow_tests.END}\nafter", ["new"])
+    assert page == f"before\n{slow_tests.BEGIN}\nnew\n{slow_tests.END}\nafter"
+
+
+def test_a_part_begins_with_what_waited_longest():
+    journal = [PASSED, {**PASSED, "file": "test_b.py", "seconds": 5}, {**FAILED, "file": "test_c.py", "seconds": 5}]
+    counts = {"test_a.py": 3, "test_b.py": 1, "test_c.py": 1, "test_d.py": 40}
+    assert slow_tests.waiting(counts, journal, 30.0) == ["test_c.py", "test_a.py", "test_b.py"]
+    assert slow_tests.waiting(counts, journal, 12.0) == ["test_c.py", "test_b.py"]
+
+
+def test_what_is_above_its_budget_is_named():
+    budget = {"quick": [{"name": "tests/test_a.py::test_false", "seconds": 5.0, "reason": "false orbits"}], "slow": []}
+    times = {"tests/test_a.py::test_false": 9.9, "tests/test_b.py::test_b": 1.9, "tests/test_c.py::test_c": 2.1}
+    assert slow_tests.over(times, budget) == ["tests/test_c.py::test_c: 2.1 s of processor time, allowed are 1 s"]
+    large = {"quick": [{"name": f"{k}", "seconds": 3.0, "reason": ""} for k in range(61)], "slow": []}
+    assert slow_tests.over({}, large) == ["tests/budget.toml: 61 entries, 183 s; at most 60, 150 s"]
+
+
+def test_what_is_above_a_second_is_slow_with_all_that_uses_it():
+    measured = {
+        "seconds": {
+            "t::long[a]": 3.0,
+            "t::long[b]": 0.1,
+            "t::every[a]": 2.0,
+            "t::every[b]": 2.0,
+            "fixture: t::made": 4.0,
+        },
+        "uses": {
+            "t::long[a]": [],
+            "t::long[b]": [],
+            "t::every[a]": [],
+            "t::every[b]": [],
+            "t::user": ["fixture: t::made"],
+        },
+    }
+    budget = {"quick": [], "slow": ["t::known"]}
+    assert slow_tests.marked(measured, budget) == ["t::every", "t::known", "t::long[a]", "t::user"]
+    budget["quick"] = [{"name": "fixture: t::made", "seconds": 4.0, "reason": ""}]
+    assert "t::user" not in slow_tests.marked(measured, budget)
+
+
+def test_the_budget_is_kept():
+    """At most sixty tests above a second and 150 s of processor time in the quick set, each with its reason."""
+    budget = tomllib.loads(slow_tests.BUDGET.read_text(encoding="utf-8"))
+    assert not slow_tests.over({}, budget) and all(entry["reason"] for entry in budget["quick"])
+    files = {name.removeprefix("fixture: ").partition("::")[0] for name in budget["slow"]}
+    files |= {entry["name"].removeprefix("fixture: ").partition("::")[0] for entry in budget["quick"]}
+    assert all((ROOT / file).is_file() for file in files)
 
 
 def test_the_page_has_a_row_for_every_file_with_slow_tests():
-    _, rows, after = slow_tests.kept(slow_tests.PAGE.read_text(encoding="utf-8"))
-    marked = {
+    page = slow_tests.PAGE.read_text(encoding="utf-8")
+    slow = tomllib.loads(slow_tests.BUDGET.read_text(encoding="utf-8"))["slow"]
+    marked = {name.partition("::")[0].removeprefix("tests/") for name in slow} | {
         file.name for file in (ROOT / "tests").glob("test_*.py") if "mark.slow" in file.read_text(encoding="utf-8")
     }
-    assert after and {name for name in marked if re.match(r"test_(?!slow_tests)", name)} <= rows.keys()
+    assert not [name for name in sorted(marked) if f"\n| {name} |" not in page]
