@@ -170,10 +170,14 @@ def main() -> int:
             sentences = over(spent["seconds"], budget)
             print("\n".join(sentences) or "every quick test is within its budget")
             return int(bool(sentences))
-        head = BUDGET.read_text(encoding="utf-8").partition("slow = [")[0]
-        BUDGET.write_text(
-            f"{head}slow = [\n{''.join(f'  {json.dumps(one)},{chr(10)}' for one in marked(spent, budget))}]\n"
+        lines = "".join(f"  {json.dumps(name)},\n" for name in marked(spent, budget))
+        text = re.sub(
+            r"^slow = \[\n.*?^\]",
+            lambda _: f"slow = [\n{lines}]",
+            BUDGET.read_text(encoding="utf-8"),
+            flags=re.M | re.S,
         )
+        BUDGET.write_text(text, encoding="utf-8")
         return 0
     counts = collected()
     wanted = [Path(file).name for file in chosen.files] or sorted(counts)

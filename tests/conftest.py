@@ -10,7 +10,7 @@ import sqlite3
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from _pytest.faulthandler import fault_handler_stderr_fd_key
+from lending import Lender
 from threadpoolctl import threadpool_limits
 
 from orbitfinder.integrate.compiled import exposed
@@ -28,7 +29,8 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.model import energy
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.find import find_orbit
-from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.orbit import Orbit, save_orbit
+from orbitfinder.records.registry import load_orbit
 
 DATA = Path(__file__).parent / "data"
 """Copies of shared/reference/*.json, computed independently of this project (see their `meta`)."""
@@ -298,13 +300,28 @@ def optimised():
 
 
 @pytest.fixture(scope="session")
-def report_orbits() -> dict[str, Orbit]:
-    """The four report orbits, found once from the printed digits with default settings."""
-    return {name: find_orbit(printed_problem(name)) for name in PRINTED}
+def lend(own_cache) -> Iterator[Lender]:
+    """Folders that tests read, filled once: `lend(name, make, __file__)`."""
+    lender = Lender(Path(os.environ["ORBITFINDER_CACHE"]) / "lent")
+    yield lender
+    lender.check()
 
 
 @pytest.fixture(scope="session")
-def pendulum_orbit() -> Orbit:
+def report_orbits(lend) -> dict[str, Orbit]:
+    """The four report orbits, found once from the printed digits with default settings."""
+
+    def make(folder: Path) -> None:
+        for name in PRINTED:
+            save_orbit(find_orbit(printed_problem(name)), folder / f"{name}.json")
+
+    folder = lend("report", make, __file__)
+    return {name: replace(load_orbit(folder / f"{name}.json"), record=None) for name in PRINTED}
+
+
+@pytest.fixture(scope="session")
+def pendulum_orbit(lend) -> Orbit:
     """A single pendulum swinging to 1 rad, from rest."""
     problem = Problem(chain(1), Guess([1.0, 0.0], 1.8), pin=pin(theta1=1.0), name="pendulum")
-    return find_orbit(problem)
+    folder = lend("pendulum", lambda folder: save_orbit(find_orbit(problem), folder / "orbit.json"), __file__)
+    return replace(load_orbit(folder / "orbit.json"), record=None)

@@ -36,21 +36,26 @@ def triple():
 
 
 @pytest.fixture(scope="module")
-def whole(triple, tmp_path_factory):
+def whole(triple, lend):
     """One search of one process."""
-    path = tmp_path_factory.mktemp("whole") / "one.sqlite"
-    of.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=0)
-    return path
+
+    def make(folder):
+        of.search(triple, ENERGY, PERIODS, folder / "one.sqlite", starts=STARTS, workers=0)
+
+    return lend("one-search", make, __file__) / "one.sqlite"
 
 
 @pytest.fixture(scope="module")
-def shards(triple, tmp_path_factory):
+def shards(triple, lend):
     """The same by eight shards, each in an atlas of its own."""
-    folder = tmp_path_factory.mktemp("shards")
-    paths = [folder / f"shard-{k}.sqlite" for k in range(1, PARTS + 1)]
-    for k, path in enumerate(paths, 1):
-        of.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=0, shard=f"{k}/{PARTS}")
-    return paths
+
+    def make(folder):
+        for k in range(1, PARTS + 1):
+            path = folder / f"shard-{k}.sqlite"
+            of.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=0, shard=f"{k}/{PARTS}")
+
+    folder = lend("shards", make, __file__)
+    return [folder / f"shard-{k}.sqlite" for k in range(1, PARTS + 1)]
 
 
 def exports(path):

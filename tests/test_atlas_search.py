@@ -71,11 +71,13 @@ def one(triple):
 
 
 @pytest.fixture(scope="module")
-def undisturbed(triple, tmp_path_factory):
+def undisturbed(triple, lend):
     """The atlas of a search in this process, never interrupted."""
-    path = tmp_path_factory.mktemp("undisturbed") / "triple.sqlite"
-    search.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=0)
-    return path
+
+    def make(folder):
+        search.search(triple, ENERGY, PERIODS, folder / "triple.sqlite", starts=STARTS, workers=0)
+
+    return lend("undisturbed", make, __file__) / "triple.sqlite"
 
 
 def test_every_orbit_is_certified_and_in_range(undisturbed):

@@ -35,13 +35,15 @@ def said(result):
 
 
 @pytest.fixture(scope="module")
-def second_mode(tmp_path_factory):
+def second_mode(lend):
     """family.json of the triple pendulum's second mode up to its first branch points, by the command."""
-    out = tmp_path_factory.mktemp("families")
-    options = ("--direction", "forward", "--until", -36.5, "--no-figures", "--out", out)
-    result = invoke("continue", FAMILIES / "triple-mode-2.toml", *options)
-    assert result.exit_code == 0, result.output
-    return out / "triple-mode-2" / "family.json"
+    options = ("--direction", "forward", "--until", -36.5, "--no-figures")
+
+    def make(folder):
+        result = invoke("continue", FAMILIES / "triple-mode-2.toml", *options, "--out", folder)
+        assert result.exit_code == 0, result.output
+
+    return lend("triple-mode-2", make, __file__) / "triple-mode-2" / "family.json"
 
 
 def test_triple_1_by_commands_alone(second_mode, tmp_path):

@@ -38,12 +38,15 @@ def kinds(family):
 
 
 @pytest.fixture(scope="module")
-def resonance(tmp_path_factory):
+def resonance(lend):
     """Duffing's resonance curve by the command that its problem file names."""
-    folder = tmp_path_factory.mktemp("resonance")
     command = ["continue", str(PROBLEMS / "duffing-resonance.toml"), "--parameter", "frequency", "--until", "2.5"]
-    done = CliRunner().invoke(cli, [*command, "--out", str(folder)])
-    assert done.exit_code == 0, done.output
+
+    def make(folder):
+        done = CliRunner().invoke(cli, [*command, "--out", str(folder)])
+        assert done.exit_code == 0, done.output
+
+    folder = lend("duffing-resonance", make, __file__)
     return load_family(folder / "duffing-resonance" / "family.json"), folder / "duffing-resonance"
 
 

@@ -222,11 +222,13 @@ OPTIMA = ("continue", OSCILLATOR, "--parameter", "damping", "--until", 0.24, "--
 
 
 @pytest.fixture(scope="module")
-def calm(tmp_path_factory):
+def calm(lend):
     """What the two commands write that nobody stops."""
-    folder = tmp_path_factory.mktemp("calm")
-    assert ran(*TORI, folder).exit_code == ran(*OPTIMA, folder).exit_code == 0
-    return folder
+
+    def make(folder):
+        assert ran(*TORI, folder).exit_code == ran(*OPTIMA, folder).exit_code == 0
+
+    return lend("calm", make, __file__)
 
 
 @pytest.mark.parametrize("how", QUICK)

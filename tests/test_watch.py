@@ -68,10 +68,13 @@ def resonance(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def crest(tmp_path_factory):
+def crest(lend):
     """The folder of a few orbits about the largest amplitude."""
-    folder = tmp_path_factory.mktemp("crest")
-    follow_family(line(0.97, watch={"peak": "max(x)"}), "frequency", until=1.0, out=folder, settings=FORWARD)
+
+    def make(folder):
+        follow_family(line(0.97, watch={"peak": "max(x)"}), "frequency", until=1.0, out=folder, settings=FORWARD)
+
+    folder = lend("crest", make, __file__)
     done = CliRunner().invoke(cli, ["verify", str(folder / "line" / "family.json")])
     assert done.exit_code == 0 and "watch.peak of" in done.output, done.output
     return folder / "line"
