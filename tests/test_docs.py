@@ -49,6 +49,7 @@ NOT_RUN = (
     "rattler-build ",
     "python -m build",
     "python -m pytest",  # would run this
+    "OPENBLAS_CORETYPE=",  # the same
     "python benchmarks/",  # minutes
     "mkdocs ",  # test_the_site_builds
     "sbatch ",  # needs a cluster
