@@ -102,8 +102,9 @@ def follow_family(
         progress: called with each point and event.
         watch: numbers of each orbit by name, those of the Problem if None: text of states, parameters, max(), min() and
             mean() over the motion, such as "max(x)", amplitude(x, k) and phase(x, k) of its k-th harmonic, or a
-            function of times (k, s), states (k x d) and parameters by name. A motion is known at 960 equal times at
-            least, to the fourth order of their distance; max() and min() are its own, between them.
+            function of times (k, s), states (k x d) and parameters by name. A function gets the motion at 960 equal
+            times at least, to the fourth order of their distance; max(), min() and mean() of a text are those of the
+            motion on its own mesh and between its instants.
         stop: values of watched numbers at which the family ends.
         between: two values of the parameter, at either of which it ends.
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.families.motion import full_samples
+from orbitfinder.families.motion import full_samples, graded
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.start import by_series, curve_in, curve_of
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, at_place
 from orbitfinder.loops.symmetry import recognise
+from orbitfinder.loops.watch import mean, range_of
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified as with_certificate
@@ -155,24 +156,30 @@ def amplitudes(family: Family, model: Model) -> np.ndarray:
 
     Without family.npz their states alone are integrated. Raises `InputError`.
     """
-    return np.asarray(np.diff(extents(family, model)[:, :2, :-1], axis=1)[:, 0] / 2)
+    return np.asarray(np.diff(extents(family, model), axis=1)[:, 0] / 2)
 
 
 def extents(family: Family, model: Model) -> np.ndarray:
-    """The least value, the greatest and the root mean square (k x 3 x n + 1) over a period of every coordinate, and of
-    the length of the state, of each point and then of each event."""
-    n, alone = model.degrees_of_freedom, by_series(family.curve)
-    if not alone:
-        curve = curve_in(family, model)
-        mesh = uniform(curve.equations.symmetry.fraction, 1, MOTION)
+    """The least and the greatest value (k x 2 x n) over a period of every coordinate, of each point and then of each
+    event, between its samples too."""
+    n = model.degrees_of_freedom
+    return np.array([range_of(times, states[:, :n]) for times, states in _motions(family, model)])
 
-    def extent(member: FamilyPoint | Event) -> np.ndarray:
-        if alone:
-            states = series(member.shooting_nodes, SAMPLES)
-        else:
-            known = member if member.mesh.size else replace(member, shooting_nodes=member.state[None], mesh=mesh)
-            states = full_samples(curve, at_place(curve, unknowns_of(curve, known)), SAMPLES)[1]
-        rows = np.column_stack([states[:, :n], np.linalg.norm(states, axis=1)])
-        return np.array([rows.min(axis=0), rows.max(axis=0), np.sqrt((rows[1:] ** 2).mean(axis=0))])
 
-    return np.array([extent(member) for member in family.members])
+def norms(family: Family, model: Model) -> np.ndarray:
+    """The root mean square over a period of the length of the state (k), of each point and then of each event."""
+    return np.sqrt([mean(times, (states**2).sum(axis=1)) for times, states in _motions(family, model)])
+
+
+def _motions(family: Family, model: Model) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Times and states over a period of each point and then of each event, as dense as their meshes."""
+    if by_series(family.curve):
+        for member in family.members:
+            states = series(member.shooting_nodes, max(SAMPLES, 8 * len(member.shooting_nodes)))
+            yield np.linspace(0.0, member.period, len(states)), states
+        return
+    curve = curve_in(family, model)
+    mesh = uniform(curve.equations.symmetry.fraction, 1, SAMPLES)
+    for member in family.members:
+        known = member if member.mesh.size else replace(member, shooting_nodes=member.state[None], mesh=mesh)
+        yield graded(curve, at_place(curve, unknowns_of(curve, known)))

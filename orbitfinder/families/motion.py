@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -92,7 +94,7 @@ def watched(curve: Curve, solution: Solution) -> dict[str, float]:
     """The watched numbers of an orbit, kept with it. Raises `ConvergenceError` where one is not finite."""
     known: dict[str, float] = solution.kept.setdefault("watched", {})  # apart from what else is kept, of any name
     if not curve.watch.keys() <= known.keys():
-        known.update(numbers(curve.watch, *_motion(curve, solution), parameters_at(curve, solution.place)))
+        known.update(_read(curve, solution, numbers))
     return {name: known[name] for name in curve.watch}
 
 
@@ -105,8 +107,20 @@ def rises(curve: Curve, solution: Solution, whole: np.ndarray) -> dict[str, floa
 
 def noise(curve: Curve, solution: Solution) -> dict[str, float]:
     """What round-off makes of these derivatives."""
-    wrong = unsure(curve.watch, *_motion(curve, solution), parameters_at(curve, solution.place), ROUGH)
+    wrong = _read(curve, solution, partial(unsure, share=ROUGH))
     return {name: ROUND_OFF / ROUGH * error / STEP for name, error in wrong.items()}
+
+
+def _read(curve: Curve, solution: Solution, how: Callable[..., dict[str, float]]) -> dict[str, float]:
+    """By name, of texts on the graded motion and of a user's functions at equal times."""
+    place, links, read = solution.place, bool(curve.equations.links), dict[str, float]()
+    for named in (True, False):
+        watch = {name: number for name, number in curve.watch.items() if named == isinstance(number.entry, str)}
+        if watch:
+            even = None if named or links else max(WATCHED, (place.steps + 1) * len(place.nodes))
+            motion = full_samples(curve, solution, even) if even else graded(curve, solution)
+            read |= how(watch, *motion, parameters_at(curve, place))
+    return read
 
 
 def parameters_at(curve: Curve, w: Unknowns) -> dict[str, float]:
@@ -116,12 +130,17 @@ def parameters_at(curve: Curve, w: Unknowns) -> dict[str, float]:
     return dict(values) | dict(zip(curve.equations.free, map(float, w.free), strict=True))
 
 
-def _motion(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Times and states of a period from a place, whatever was marched there; of a hybrid orbit events twice."""
+def graded(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states of a period as dense as its mesh, at `WATCHED` intervals at least; of a hybrid orbit events
+    twice."""
     p, w = curve.equations, solution.place
+    mesh = divided(w.mesh, 2 * max(2, int(np.ceil(WATCHED * p.symmetry.fraction / (2 * w.mesh.size - 2)))))
+    if p.gridded:
+        return mesh * w.period, p.gridded.sampled(w.nodes, w.mesh, w.tail, mesh)
     if not p.links:
-        return full_samples(curve, solution, max(WATCHED, (w.steps + 1) * len(w.nodes)))
-    arcs, w = p.links.count, w.on(divided(w.mesh, -(-WATCHED // (w.mesh.size - 1))))
+        mesh, states = p.symmetry.whole(mesh, p.march.states(w.nodes, mesh, w.tail), curve.constant)
+        return mesh * w.period, states
+    arcs, w = p.links.count, w.on(mesh)
     solution, steps = replace(solution, place=w, march=p.varied(w, states=True)), (w.mesh.size - 1) // arcs
     ends = w.period * np.append(0.0, np.cumsum(p.links.shares(w.free)))
     meshes = [w.mesh[k * steps : (k + 1) * steps + 1] for k in range(arcs)]

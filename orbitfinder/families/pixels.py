@@ -19,15 +19,17 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.cluster import home
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.motion import full_samples
+from orbitfinder.families.motion import graded
 from orbitfinder.families.plane import DIVERGED, ELSEWHERE, ENDLESS, RESTING, UNTRIED
 from orbitfinder.families.point import FamilySettings, extents
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import curve_of
 from orbitfinder.integrate.evaluate import one_thread
+from orbitfinder.integrate.extent import extent
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Curve, Solution, correct_each
 from orbitfinder.loops.loop import Condition, Unknowns
+from orbitfinder.loops.watch import range_of
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.floquet import STABILITIES
@@ -183,21 +185,14 @@ class ParameterPlane:
         p = self.curve.equations
         n = p.model.degrees_of_freedom
         if p.links or p.gridded or not solutions:
-            every = [full_samples(self.curve, solution)[1] for solution in solutions]
-            return np.array([np.ptp(states[:, :n], axis=0) / 2 for states in every])
+            every = [graded(self.curve, solution) for solution in solutions]
+            return np.array([np.ptp(range_of(times, states[:, :n]), axis=0) / 2 for times, states in every])
         both = [p.symmetry.whole(s.place.mesh, s.march.states, self.curve.constant) for s in solutions]
         times = np.array([s.place.period * mesh for s, (mesh, _) in zip(solutions, both, strict=True)])
         states = np.array([path for _, path in both])
         tails = np.repeat([s.place.tail for s in solutions], times.shape[1], axis=0)
-        rates = p.march.rates(states.reshape(-1, p.size), tails, times.ravel()).reshape(states.shape)[..., :n]
-        states, lengths = states[..., :n], np.diff(times)[..., None]
-        begin, end, chord = lengths * rates[:, :-1], lengths * rates[:, 1:], np.diff(states, axis=1)
-        a, b = begin + end - 2 * chord, 3 * chord - 2 * begin - end  # a cubic of a step's share, that may turn in it
-        with np.errstate(invalid="ignore", divide="ignore"):
-            root = np.sqrt(b * b - 3 * a * begin)
-            turns = [np.nan_to_num(begin / (-b + sign * root)).clip(0.0, 1.0) for sign in (-1.0, 1.0)]
-        every = [states[:, :1], *(states[:, :-1] + s * (begin + s * (b + s * a)) for s in (*turns, 1.0))]
-        return np.asarray(np.ptp(np.concatenate(every, axis=1), axis=1) / 2)
+        rates = p.march.rates(states.reshape(-1, p.size), tails, times.ravel()).reshape(states.shape)
+        return np.asarray(np.ptp(extent(times, states[..., :n], rates[..., :n]), axis=1) / 2)
 
     def flood(self, block: PixelBlock, rows: slice, columns: slice, origin: tuple[int, int] = (0, 0)) -> None:
         """Fill a part of a block, whose first pixel is the plane's `origin`, from the orbits beside it that are known,

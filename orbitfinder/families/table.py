@@ -19,10 +19,9 @@ from orbitfinder.records.table import Tables, entries, extent_columns, known_lev
 def family_tables(family: Family, model: Model | None = None) -> Tables:
     """The tables of a family. Raises `InputError` where its system cannot be built or its equations are not known."""
     model = model or build_model(family.system)
-    n, count, watched = model.degrees_of_freedom, len(family.points), family.points[0].watch
-    seen = extents(family, model)[:, :, :n]
+    seen, count, watched = extents(family, model), len(family.points), family.points[0].watch
     names = dict.fromkeys([*family.parameters, *family.points[0].free])
-    called = model.state_names[:n]
+    called = model.state_names[: model.degrees_of_freedom]
 
     def columns(members: Sequence[Any], rows: slice, more: dict[str, Any]) -> dict[str, Any]:
         parameters = {name: [family.value(member, name) for member in members] for name in names}

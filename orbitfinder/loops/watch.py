@@ -12,10 +12,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.polynomial import Polynomial
 from scipy.integrate import simpson
+from scipy.interpolate import make_interp_spline
 
 from orbitfinder.errors import ConvergenceError, InputError, closest
+from orbitfinder.integrate.extent import extent
 from orbitfinder.loops.control import named
 from orbitfinder.mechanics.expression import expression
 from orbitfinder.mechanics.model import Model
@@ -23,9 +24,8 @@ from orbitfinder.records.family import FamilyPoint
 
 Number = Callable[[np.ndarray, np.ndarray, Mapping[str, float]], float]
 """What makes a number of times, states and parameters by name"""
-DRAWS = 3
-ABOUT = 3
-"""Samples on each side of a largest one, through which the polynomial goes that tells the motion's own maximum"""
+DRAWS, EQUAL = 3, 1e-12
+"""Draws of errors, and the share of a motion by which steps that are equal differ"""
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,8 @@ def _stated(text: str, model: Model, where: str) -> Number:
         return reduced
 
     calls: dict[str, Callable[..., Any]] = {
-        "max": over(_greatest), "min": over(lambda t, y: -_greatest(t, -y)), "mean": over(_mean),
-        "amplitude": harmonic(abs), "phase": harmonic(np.angle),
+        "min": over(lambda t, y: range_of(t, y[:, None])[0, 0]), "amplitude": harmonic(abs),
+        "max": over(lambda t, y: range_of(t, y[:, None])[1, 0]), "phase": harmonic(np.angle), "mean": over(mean),
     }  # fmt: skip
     outer = ca.SX(expression(text, named(model, x, p, period), where, calls))
     if ca.depends_on(outer, x):
@@ -140,33 +140,24 @@ def _stated(text: str, model: Model, where: str) -> Number:
     return of
 
 
-def _mean(times: np.ndarray, values: np.ndarray) -> float:
-    """The mean over the period, to the fourth order of the samples, or of whatever order where values are periodic."""
-    return float(sum(simpson(values[arc], x=times[arc]) for arc in arcs(times)) / (times[-1] - times[0]))
+def range_of(times: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Least and greatest values (2 x d) of a motion, between its samples too."""
+    both = np.array([extent(times[arc], states[arc]) for arc in arcs(times)])
+    return np.array([both[:, 0].min(axis=0), both[:, 1].max(axis=0)])
+
+
+def mean(times: np.ndarray, values: np.ndarray) -> float:
+    """The mean over the period: of equal steps to the fourth order, or to any order of periodic values; of graded ones
+    by splines of degree 7."""
+    total = 0.0
+    for arc in arcs(times):
+        t, own = times[arc], values[arc]
+        equal = np.ptp(np.diff(t)) < EQUAL * np.ptp(t)
+        total += simpson(own, x=t) if equal else make_interp_spline(t, own, min(7, t.size - 1)).integrate(t[0], t[-1])
+    return float(total / (times[-1] - times[0]))
 
 
 def _harmonic(times: np.ndarray, values: np.ndarray, order: int) -> complex:
     """c of the harmonic Re(c e^(2 pi i order t / T)) = |c| cos(2 pi order t / T + arg c)."""
     turn = 2 * np.pi * order * (times - times[0]) / (times[-1] - times[0])
-    return 2 * complex(_mean(times, values * np.cos(turn)), -_mean(times, values * np.sin(turn)))
-
-
-def _greatest(times: np.ndarray, values: np.ndarray) -> float:
-    """The largest value of a motion between its samples, to their seventh order."""
-    return max(_top(times[arc], values[arc]) for arc in arcs(times))
-
-
-def _top(times: np.ndarray, values: np.ndarray) -> float:
-    """The same of an arc: polynomials are looked at about every sample that may be next to the largest value."""
-    last, largest = len(times) - 1, float(values.max())
-    left, right = np.append(values[1], values[:-1]), np.append(values[1:], values[-2])
-    high = (values > left) & (values >= right) & (2 * values - np.minimum(left, right) >= largest)
-    for k in map(int, np.flatnonzero(high)):
-        first = max(0, min(k - ABOUT, last - 2 * ABOUT))
-        here = slice(first, first + 2 * ABOUT + 1)
-        course = Polynomial.fit(times[here], values[here], min(2 * ABOUT, len(times[here]) - 1))
-        turns = course.deriv().roots()
-        low, top = times[max(k - 1, 0)], times[min(k + 1, last)]
-        inside = turns.real[(turns.imag == 0) & (low < turns.real) & (turns.real < top)]
-        largest = max([largest, *map(float, course(inside))])
-    return largest
+    return 2 * complex(mean(times, values * np.cos(turn)), -mean(times, values * np.sin(turn)))

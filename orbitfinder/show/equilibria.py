@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from orbitfinder.families.diagram import NORM, BifurcationDiagram
 from orbitfinder.families.entries import KINDS
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
-from orbitfinder.families.members import extents
+from orbitfinder.families.members import extents, norms
 from orbitfinder.families.registry import Look, kind_of
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import End, Family
@@ -152,9 +152,9 @@ def save_diagram_figure(diagram: BifurcationDiagram, folder: str | Path, model: 
             for event in (event for event in curve.record.events if below and np.isfinite(event.period)):
                 below[0].mark(event.kind, (event.parameter, event.period), True)
     for curve in families:
-        name, sizes = NAMES[curve.parent.endswith("family.json")], extents(curve.record, model)[:, :, number]
-        for column in (2,) if norm else (1, 0):
-            upper.cycles(curve.record, sizes[:, column], name)
+        name = NAMES[curve.parent.endswith("family.json")]
+        for sizes in [norms(curve.record, model)] if norm else extents(curve.record, model)[:, ::-1, number].T:
+            upper.cycles(curve.record, sizes, name)
         below[0].cycles(curve.record, np.array([member.period for member in curve.record.members]), name, True)
     across = with_word(diagram.parameter, diagram.system)
     dress(upper.axes, "" if below else across, NORM if norm else axis(model, number))
