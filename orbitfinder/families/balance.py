@@ -65,6 +65,7 @@ from orbitfinder.records.certificate import refused as unsound
 from orbitfinder.records.codec import plain
 from orbitfinder.records.ends import end_fault, end_kind
 from orbitfinder.records.family import (
+    BECOMES,
     CLOSURE,
     Batch,
     End,
@@ -73,6 +74,7 @@ from orbitfinder.records.family import (
     FamilyPoint,
     Reading,
     restored,
+    reverted,
     save_family,
     situated,
 )
@@ -297,8 +299,7 @@ class _Large:
         located = [event for kept in seen if (event := self._event(kept, before.point, after.point)) is not None]
         stable = [kept.record.stability != "unstable" for kept in (before, after)]
         if len(located) == 1 and stable[0] != stable[1]:
-            detail = f"becomes {'stable' if stable[1] else 'unstable'}"
-            located.append(replace(located[0], kind="stability_change", detail=detail))
+            located.append(replace(located[0], kind="stability_change", detail=BECOMES[stable[0]]))
         return located
 
     def _event(self, kept: KeptPoint, before: Point, after: Point) -> Event | None:
@@ -496,7 +497,8 @@ class _Direction:
                 seen = [e for e in curve.events if before.point.arclength < e.point.arclength <= kept.point.arclength]
                 events = self.own.events(before, kept, seen)
             self.points.append(kept)
-            self.events += [replace(event, arclength=self.sign * event.arclength) for event in events]
+            listed = events if self.sign > 0 else map(reverted, events)
+            self.events += [replace(event, arclength=self.sign * event.arclength) for event in listed]
             if progress:
                 new = tuple(self.events[len(self.events) - len(events) :])
                 progress(Batch(int(self.sign), (self._placed(kept),), new))

@@ -40,7 +40,7 @@ from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.orbits.evidence import COARSER, VARIED, ClosureCheck, Tour, tour
 from orbitfinder.orbits.floquet import ERROR_FLOOR, analyse, judged
 from orbitfinder.orbits.hybrid import hybrid_tour, retraced
-from orbitfinder.records.family import CLOSURE, UNKNOWN, Event, Reading
+from orbitfinder.records.family import BECOMES, CLOSURE, UNKNOWN, Event, Reading
 
 SHARP = 1e-5
 """An event is this near to where its definition holds, in steps of the family"""
@@ -446,7 +446,7 @@ def check_stability(sides: Sides, event: Event) -> Reading:
     if not about.conservative and np.any(np.abs(about.roots.imag) > ALIKE):
         known.append((sides.zero(_pair), 0.0))
     nearest, level = min(known, key=lambda pair: (not pair[0].passed, abs(pair[0].value)))
-    looks, told = (sides.before, sides.after), {"becomes stable": (True, False), "becomes unstable": (False, True)}
+    looks, told = (sides.before, sides.after), dict(zip(BECOMES, [(True, False), (False, True)], strict=True))
     verdicts = [tuple(probe.unstable for probe in looks), tuple(probe.beyond(level) for probe in looks if level)]
     if told.get(event.detail) not in verdicts:
         raise ConvergenceError("the orbits on its two sides are as stable or unstable as each other")

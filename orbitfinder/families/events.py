@@ -40,7 +40,7 @@ from orbitfinder.families.run import PASSING, Interval, Sample, is_real
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.orbits.floquet import ERROR_FLOOR
-from orbitfinder.records.family import Event
+from orbitfinder.records.family import BECOMES, Event
 
 
 def slope(name: str) -> Measure:
@@ -211,8 +211,7 @@ def _changes(interval: Interval, events: list[tuple[Sample, Test]]) -> list[tupl
         inner = interval.sample(0.5 * (before + after)) if after - before > 1e-7 else None
         verdicts.append(verdicts[-1] if inner is None else inner.about.floquet.stability == "unstable")
     verdicts.append(b)
-    details = ("becomes stable", "becomes unstable")
-    tests = [Test("stability_change", details[late], lambda p: 0.0) for late in verdicts[1:]]
+    tests = [Test("stability_change", BECOMES[late], lambda p: 0.0) for late in verdicts[1:]]
     turned = [early != late for early, late in pairwise(verdicts)]
     return [(sample, test) for (sample, _), test, changed in zip(critical, tests, turned, strict=True) if changed]
 

@@ -50,9 +50,8 @@ def facts(record: Family | Equilibria) -> dict[str, Any]:
 def sentence(family: Family, k: int) -> str:
     """What happens at an event of a family: what its multipliers do, stability on either side, what is born."""
     event, kind = family.events[k], kind_of(family.events[k].kind)
-    sides = [family.points[min(max(j, 0), len(family.points) - 1)].stability for j in (event.index, event.index + 1)]
-    words = kind.words.replace(" q times", f" {event.order} times")
-    told = [words, f"{sides[0]} before it, {sides[1]} after it" if sides[0] != sides[1] else ""]
+    sides, words = family.sides[k], kind.words.replace(" q times", f" {event.order} times")
+    told = [words, f"{sides[0]} before it, {sides[1]} after it" if sides[0] != sides[1] and all(sides) else ""]
     if kind.branches and event.order > 1:
         told.append(f"born are orbits of period {lasting(event.order * event.period, family.system, 9)}")
     elif kind.branches and event.symmetry != NONE.name:

@@ -83,6 +83,7 @@ from orbitfinder.records.family import (
     FamilyPoint,
     Reading,
     number_of,
+    reverted,
 )
 from orbitfinder.records.orbit import incomputable
 from orbitfinder.records.reading import read_as
@@ -262,8 +263,9 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
     try:
         before, after = _neighbours(family, event)
         _told(family, curve, event, abs(after.value - before.value), abs(after.energy - before.energy))
-        along = (_head(after) - _head(before)) * (1.0 if event.arclength >= 0 else -1.0)
-        step, old = after.arclength - before.arclength, event.check
+        along, step, old = _head(after) - _head(before), after.arclength - before.arclength, event.check
+        if event.arclength < 0:  # as it was followed
+            event, along = reverted(event), -along
         again = _read_again(curve, event, along, step, family.parameter)
         if old is not None and not (old.passed and abs(old.value - again.value) <= old.error + again.error):
             raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {again.value:.3g}")

@@ -9,6 +9,7 @@ last. family.json carries the digest of its own entries (`record`) and of the ar
 from __future__ import annotations
 
 import hashlib
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -48,6 +49,8 @@ METHODS = ("product", "periodic QR", "Hill")
 """How multipliers were computed: as eigenvalues of the state-transition matrices' product, factor by factor, or, as few
 as it takes, of Hill's matrix."""
 AGAIN = "continue the family again"
+BECOMES = ("becomes stable", "becomes unstable")
+"""The details of a change of stability, in the order in which a family is listed"""
 
 
 def _check_place(member: Any) -> None:
@@ -364,6 +367,28 @@ class Family(Tabled):
         """Its points and then its events."""
         return (*self.points, *self.events)
 
+    @cached_property
+    def sides(self) -> tuple[tuple[str, str], ...]:
+        """The verdicts before and after each event, in the order of the points, "" where nothing decides.
+
+        They are those of the points about it, between which changes of stability alone change them; where these are not
+        recorded, the events there.
+        """
+        return tuple(map(self._beside, self.events))
+
+    def _beside(self, event: Event) -> tuple[str, str]:
+        ends = [self.points[min(max(k, 0), len(self) - 1)].stability for k in (event.index, event.index + 1)]
+        mates = [each for each in self.events if each.index == event.index]
+        turns = {each.arclength: each.detail for each in mates if each.detail in BECOMES}
+        loses, unstable = [detail == BECOMES[1] for detail in turns.values()], [end == "unstable" for end in ends]
+        if turns and len(turns) % 2 != sum(unstable) % 2:  # beside a fold the verdicts of points may not show it
+            unstable = [not loses[0], loses[-1]]
+            ends = ["unstable" if each else "stable" for each in unstable]
+        marks = sorted(turns or ({each.arclength for each in mates} if ends[0] != ends[1] else ()))
+        words = [("stable", "unstable")[unstable[0] != k % 2] if turns else "" for k in range(1, len(marks))]
+        states = [*ends[:1], *words, *ends[1:]]
+        return states[bisect_left(marks, event.arclength)], states[bisect_right(marks, event.arclength)]
+
     @property
     def places(self) -> np.ndarray:
         """The values (k x 1 or k x 2) of what varies at every point and then at every event."""
@@ -469,6 +494,22 @@ def _turns(curve: Mapping[str, Any], size: int) -> tuple[int, ...]:
     return tuple(int(k) for k in np.round(turned))
 
 
+def reverted(event: Event) -> Event:
+    """The event as a family says that is followed the other way."""
+    return replace(event, detail=BECOMES[event.detail == BECOMES[0]]) if event.detail in BECOMES else event
+
+
+def _listed(family: Family) -> Family:
+    """A family whose changes of stability are in the order of its points: older files say of those before its start how
+    it was followed there, away from it."""
+    told = [
+        replace(event, detail=BECOMES[after == "unstable"])
+        if event.arclength < 0 and event.detail in BECOMES and "unstable" in (before, after) else event
+        for event, (before, after) in zip(family.events, family.sides, strict=True)
+    ]  # fmt: skip
+    return replace(family, events=tuple(told))
+
+
 @dataclass(frozen=True)
 class _Header:
     """The first line of a journal."""
@@ -523,7 +564,8 @@ def assemble(journal: Journal) -> Family:
     about = header["name"], header["system"], header["curve"]
     numbered = tuple(situated(point, k, *about) for k, point in enumerate(points))
     places = np.array([point.arclength for point in numbered])
-    events = sorted((event for batch in journal.batches for event in batch.events), key=attrgetter("arclength"))
+    found = (reverted(event) if batch.direction < 0 else event for batch in journal.batches for event in batch.events)
+    events = sorted(found, key=attrgetter("arclength"))
     indexed = tuple(replace(event, index=int(np.searchsorted(places, event.arclength)) - 1) for event in events)
     ends = tuple(end for end in (journal.end(-1), journal.end(1)) if end is not None)
     more = header["curve"], header.get("source", {})
@@ -605,7 +647,9 @@ def load_family(path: str | Path) -> Family:
             raise InputError(f"{source}: ends[{k}].{fault}; {AGAIN}")
     about = family.name, family.system, family.curve
     try:
-        return replace(family, points=tuple(situated(point, k, *about) for k, point in enumerate(family.points)))
+        return replace(
+            _listed(family), points=tuple(situated(point, k, *about) for k, point in enumerate(family.points))
+        )
     except (TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{source}: curve or system: {error}; {AGAIN}") from error
 
