@@ -1,13 +1,14 @@
 """Every sentence about stability along every shipped family: what events say agrees with the orbits beside them."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from orbitfinder.families.happening import sentence
-from orbitfinder.records.family import BECOMES, assemble, load_family
+from orbitfinder.records.family import BECOMES, load_family
+from orbitfinder.site import pages
 
 RESULTS = Path(__file__).parents[1] / "results" / "families"
 FAMILIES = sorted(RESULTS.glob("*/family.json"))
@@ -17,7 +18,7 @@ def agrees(family):
     """The verdicts along a family, of points and on both sides of events, in order of arclength: each event begins with
     what was there and ends with what is there next; details say the same; sentences too."""
     members = sorted(enumerate(family.members), key=lambda pair: pair[1].arclength)
-    known, last = "", None
+    known, last, sides = "", None, ("", "")
     for k, member in members:
         if k < len(family.points):
             undecided = {"", "marginal"} & {known, member.stability}  # as a point on a bifurcation is
@@ -73,3 +74,48 @@ def test_an_event_after_a_change_in_one_interval_is_after_it():
     mended = replace(family, events=(*family.events[:k], earlier, change, later, *family.events[k + 1 :]))
     assert mended.sides[k] == (mended.sides[k + 1][0],) * 2 and mended.sides[k + 2] == ("unstable", "unstable")
     assert "before it" not in sentence(mended, k) and "before it" not in sentence(mended, k + 2)
+
+
+def picked(family):
+    """The items of its page, without motions."""
+    return pages.family_items(family, SimpleNamespace(member=lambda *_: None), [])
+
+
+@pytest.mark.parametrize("file", FAMILIES, ids=lambda file: file.parent.name)
+def test_stretches_of_a_page_end_where_stability_changes(file):
+    """Every sentence of a family's page: a stretch has the verdicts of its points and no change of stability inside."""
+    family = load_family(file)
+    for item in picked(family):
+        assert "becomes" not in item["says"] and "becomes" not in item["event"]
+        if item["event"]:
+            assert item["says"].endswith(sentence(family, item["number"]) + ".")
+            assert item["stability"] == (family.sides[item["number"]][0] or item["stability"])
+            continue
+        changes = [event.arclength for event in family.events if event.detail in BECOMES]
+        inside = [place for place in changes if place == item["arclength"]] or changes
+        low = max((place for place in inside if place <= item["arclength"]), default=-float("inf"))
+        high = min((place for place in inside if place >= item["arclength"]), default=float("inf"))
+        said = item["says"].partition(": orbits ")[2].partition(", whose period")[0].split(" or ")
+        assert item["stability"] in said
+        near = {point.stability for point in family.points if low <= point.arclength <= high}
+        assert set(said) <= near and ("unstable" in said) + any(v not in ("unstable", "marginal") for v in said) <= 1
+
+
+def test_nouns_of_events():
+    """ "From the becomes stable at ..." and "the fold energy at energy" are no English."""
+    family = load_family(RESULTS / "triple-1" / "family.json")
+    words = {event.words for event in family.events}
+    assert {"gain of stability", "loss of stability", "fold in energy", "turn in period", "resonance q = 3"} <= words
+
+
+def test_orbits_without_an_energy_have_none_on_a_page():
+    """Of a neuron: no energy and no action, in no sentence, no list, no item."""
+    family = load_family(RESULTS / "triple-1" / "family.json")
+    mechanical = pages.family_values(family, picked(family))
+    assert "energy" in mechanical["summary"] and mechanical["levels"] and picked(family)[0]["action"] is not None
+    nan = float("nan")
+    neuron = replace(family, parameter="I", points=tuple(replace(each, energy=nan) for each in family.points),
+                     events=tuple(replace(each, energy=nan) for each in family.events))  # fmt: skip
+    values = pages.family_values(neuron, items := picked(neuron))
+    assert "energy" not in values["summary"] and not values["levels"] and values["useful"] == ["value", "arclength"]
+    assert all(item["action"] is None for item in items)

@@ -197,8 +197,11 @@ class Event(Shown):
 
     @property
     def words(self) -> str:
-        """What happens, for reading: whether it is super- or subcritical, its kind and detail."""
-        return f"{self.criticality} {self.kind.replace('_', ' ')} {self.detail}".strip()
+        """What happens, as a noun: whether it is super- or subcritical, its kind and detail."""
+        if self.detail in BECOMES:
+            return f"{('gain', 'loss')[self.detail == BECOMES[1]]} of stability"
+        detail = f"in {self.detail}" if self.detail in ("energy", "period", *self.free, *self.watch) else self.detail
+        return f"{self.criticality} {self.kind.replace('_', ' ')} {detail}".strip()
 
 
 @dataclass(frozen=True)
@@ -374,9 +377,10 @@ class Family(Tabled):
         They are those of the points about it, between which changes of stability alone change them; where these are not
         recorded, the events there.
         """
-        return tuple(map(self._beside, self.events))
+        return tuple(map(self.beside, self.events))
 
-    def _beside(self, event: Event) -> tuple[str, str]:
+    def beside(self, event: Event) -> tuple[str, str]:
+        """The same of one of its events."""
         ends = [self.points[min(max(k, 0), len(self) - 1)].stability for k in (event.index, event.index + 1)]
         mates = [each for each in self.events if each.index == event.index]
         turns = {each.arclength: each.detail for each in mates if each.detail in BECOMES}

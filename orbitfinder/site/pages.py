@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import Any
 
@@ -19,7 +20,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import SI, given_units, unit_along, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.certificate import Check
-from orbitfinder.records.family import Event, Family, FamilyPoint
+from orbitfinder.records.family import BECOMES, Event, Family, FamilyPoint
 from orbitfinder.records.orbit import level, recorded_proof
 from orbitfinder.show.diagram import LOOKS, changes, mark_of, verdicts
 from orbitfinder.show.facts import facts, largest, number, with_unit
@@ -243,8 +244,9 @@ def pickable(family: Family) -> list[int]:
 
 
 def before(family: Family, event: Event) -> FamilyPoint:
-    """The point before an event, which says what the event does not carry."""
-    return family.points[min(max(event.index, 0), len(family.points) - 1)]
+    """The point before an event, which says what the event does not carry, with the verdict just before it."""
+    point = family.points[min(max(event.index, 0), len(family.points) - 1)]
+    return replace(point, stability=family.beside(event)[0] or point.stability)
 
 
 def family_items(family: Family, simulator: Simulator, reach: Sequence[float]) -> list[dict[str, Any]]:
@@ -266,24 +268,26 @@ def _said(family: Family, items: list[dict[str, Any]]) -> list[dict[str, Any]]:
     is and where its period tends."""
     time, unit = units(family.system)["time"], unit_along(family.parameter, family.system)
 
-    def where(item: Mapping[str, Any], word: str) -> str:
-        return f"{word} {family.parameter} = {with_unit(number(item['value'], 6), unit)}"
+    def where(value: float) -> str:
+        return f"{family.parameter} = {with_unit(number(value, 6), unit)}"
 
-    told, marks = list[dict[str, Any]](), [k for k, item in enumerate(items) if item["event"]]
-    for k, item in enumerate(items):
+    listed = {item["number"] for item in items if item["event"]}
+    cuts = [event for k, event in enumerate(family.events) if k in listed or event.detail in BECOMES]
+    places, told = [event.arclength for event in cuts], list[dict[str, Any]]()
+    for item in items:
         if item["event"]:
-            told.append(item | {"says": f"{where(item, 'At')}: {sentence(family, item['number'])}."})
+            told.append(item | {"says": f"At {where(item['value'])}: {sentence(family, item['number'])}."})
             continue
-        begin, end = (
-            max((m for m in marks if m < k), default=0),
-            min((m for m in marks if m > k), default=len(items) - 1),
-        )
-        first, last = items[begin], items[end]
-        ends = [f"the {end['event']} {where(end, 'at')}" if end["event"] else where(end, "") for end in (first, last)]
-        period = [with_unit(number(end["period"], 5), time) for end in (first, last)]
-        way = "stays" if period[0] == period[1] else "grows" if first["period"] < last["period"] else "falls"
+        first = bisect_left(places, item["arclength"])
+        ends = [cuts[first - 1] if first else family.points[0], *cuts[first : first + 1], family.points[-1]][:2]
+        names = [f"the {end.words} at {where(end.parameter)}" if isinstance(end, Event) else where(end.value)
+                 for end in ends]  # fmt: skip
+        verdicts = {point.stability: 0 for point in family.points
+                    if ends[0].arclength <= point.arclength <= ends[1].arclength}  # fmt: skip
+        period = [with_unit(number(end.period, 5), time) for end in ends]
+        way = "stays" if period[0] == period[1] else "grows" if ends[0].period < ends[1].period else "falls"
         how = f"{way} at {period[0]}" if way == "stays" else f"{way} from {period[0]} to {period[1]}"
-        says = f"From {ends[0].strip()} to {ends[1].strip()}: orbits {item['stability']}, whose period {how}."
+        says = f"From {names[0]} to {names[1]}: orbits {' or '.join(verdicts)}, whose period {how}."
         told.append(item | {"says": says})
     return told
 
@@ -303,21 +307,20 @@ def _item(member: FamilyPoint | Event, family: Family, simulator: Simulator) -> 
     """A point or an event; what an event does not carry is that of the point before it."""
     motion, event = simulator.member(family.system, member), member if isinstance(member, Event) else None
     at, point = (member, True) if isinstance(member, FamilyPoint) else (before(family, member), False)
-    words = "" if event is None else event.words
     return {
         "energy": level(member.energy),
         "period": member.period,
         "value": at.value if event is None else event.parameter,
         "error": None if event is None else event.error,
         "arclength": member.arclength,
-        "action": at.action if point else None,
+        "action": at.action if point and np.isfinite(member.energy) else None,
         "closure": at.closure if point else None,
         "defect": at.defect if point else None,
         "krein": list(at.krein),
         "stability": at.stability,
         "symmetry": symmetry_words(member.symmetry),
         "multipliers": [[float(f"{x:.8g}") for x in (mu.real, mu.imag)] for mu in at.floquet_multipliers.tolist()],
-        "event": event.detail if event is not None and kind_of(event.kind).verdict and event.detail else words,
+        "event": "" if event is None else event.words,
         "kind": "" if event is None else event.kind,
         "what": "" if event is None else kind_of(event.kind).words,
         "motion": packed(motion) if motion else None,
@@ -342,6 +345,7 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         "moved": moved,
         "units": units(family.system),
         "conserved": simulator.conserves(family.system),
+        "energetic": _energetic(family),
         "frame": frame,
         "landscape": landscape(known, frame, many=True),
         "curve": len(family.parameters) > 1,
@@ -357,6 +361,11 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
             for kind, look in {kind: LOOKS[kind] for kind in map(itemgetter("kind"), items) if kind}.items()
         },
     }  # fmt: skip
+
+
+def _energetic(family: Family) -> bool:
+    """Whether its orbits have an energy, and with it an action."""
+    return bool(np.isfinite(family.values("energy")).any())
 
 
 def _place(family: Family, number: int, reach: Sequence[float]) -> dict[str, float]:
@@ -387,15 +396,17 @@ def span(values: Sequence[float], digits: int = 6) -> str:
 def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """What the template of a family page is filled with."""
     points, events, unit = family.points, family.events, units(family.system)
-    energies, periods = family.values("energy").tolist(), family.values("period").tolist()
+    periods, energetic = family.values("period").tolist(), _energetic(family)
     unstable = sum(point.stability == "unstable" for point in points)
     listed = sum(bool(item["event"]) for item in items)
     left_out = f"{listed} of {plural(len(events), 'event')} are listed; resonances are left out first."
     thinned = f"{len(items) - listed} of the orbits and {listed} of the events can be picked here. "
     other = "" if family.unit else f"{family.parameter} {span(family.values('value').tolist())}, "
+    if energetic:
+        other += f"energy {with_unit(span(family.values('energy').tolist()), unit['energy'])}, "
     summary = (
         f"{plural(len(points), 'orbit')} of {article(mechanism(family.system))}, {unstable} of them unstable, "
-        f"and {plural(len(events), 'event')}: {other}energy {with_unit(span(energies), unit['energy'])}, "
+        f"and {plural(len(events), 'event')}: {other}"
         f"period {with_unit(span(periods), unit['time'])}. {thinned if len(items) < len(points) + len(events) else ''}"
         f"{'Parameters' if family.parameters[1:] else 'Parameter'}: {', '.join(family.parameters)}. "
         "All as orbitfinder continue recorded it; not checked here."
@@ -410,6 +421,7 @@ def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[st
             for name, kind in (("energy", "energy"), ("period", "time"))
         },
         "useful": _useful(family),
+        "levels": [(name, name) for name in ("energy", "action") if energetic],
         "listed": "" if listed == len(events) else left_out,
         "summary": summary,
     }
@@ -418,7 +430,7 @@ def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[st
 def _useful(family: Family) -> list[str]:
     """What may be plotted across, the most telling first: the parameter where the energy hardly changes."""
     order = ["value", "energy"] if not family.by_energy else ["energy", *([] if family.unit else ["value"])]
-    return [*order, "below", "arclength", "action"]
+    return [*order, "below", "arclength", "action"] if _energetic(family) else ["value", "arclength"]
 
 
 def atlas_data(name: str, entries: Sequence[SiteOrbit], linked: set[str], model: Model | None) -> dict[str, Any]:
