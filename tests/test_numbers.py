@@ -7,7 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import orbitfinder as of
+from orbitfinder.families import passages
+from orbitfinder.families.entries import KINDS
 from orbitfinder.families.members import extents, norms
+from orbitfinder.families.registry import EventKind, Look
 from orbitfinder.integrate.extent import extent
 from orbitfinder.loops.watch import mean
 
@@ -124,3 +127,27 @@ def test_the_table_has_the_amplitude_of_a_closed_form():
     known = force / np.sqrt((1 - w**2) ** 2 + (c * w) ** 2)
     for column in ("amplitude_x", "max_x"):
         assert np.allclose(family.table()[column], known, rtol=1e-10, atol=0)
+
+
+def test_multipliers_of_samples_and_probes_are_those_of_the_period(monkeypatch):
+    """Of what an event may read: the root map of x'' + c x' + x = F cos w t is half a period's."""
+    seen = {"sample": [], "probe": []}
+
+    def test(interval):
+        seen["sample"].append((interval.first.solution.place.period, interval.first.multipliers, interval.first.about))
+        return [passages.Test("on_time", "", lambda sample: sample.solution.place.period - 6.985)]
+
+    def checked(sides, event):
+        seen["probe"].append((sides.here.solution.place.period, sides.here.multipliers, sides.here.about))
+        return sides.zero(lambda probe: probe.value("period") - 6.985)
+
+    monkeypatch.setitem(KINDS, "on_time", EventKind(checked, "the period is 6.985 s", Look("$T$"), test=test))
+    model = of.systems.forced_duffing(1.0, 0.0, 0.2, 0.1, 0.9)
+    problem = of.Problem(model, of.Guess([0.3, 0.1], 2 * np.pi / 0.9))
+    family = of.follow_family(problem, "frequency", points=1)
+    assert [event.kind for event in family.events] == ["on_time"]
+    for who in ("sample", "probe"):
+        for period, multipliers, about in seen[who]:
+            assert about.root == 2 and np.abs(multipliers) == pytest.approx(2 * [np.exp(-0.1 * period)], rel=1e-7)
+            known = np.sort_complex(about.root_multipliers**2)
+            assert np.sort_complex(multipliers) == pytest.approx(known, rel=1e-9)

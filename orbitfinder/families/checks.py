@@ -117,8 +117,18 @@ class Probe:
         values, pairs = np.linalg.eigvals(reduced).astype(complex), self.tour.conservative
         roots = judged(values).indices if pairs else values
         return SimpleNamespace(
-            reduced=reduced, multipliers=values, indices=roots, roots=roots, conservative=pairs, root=self.tour.root
+            reduced=reduced,
+            root_multipliers=values,
+            indices=roots,
+            roots=roots,
+            conservative=pairs,
+            root=self.tour.root,
         )
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """The non-trivial multipliers of the period; `about.root_multipliers` are those of the root map."""
+        return np.asarray(self.about.root_multipliers**self.about.root)
 
     @property
     def indices(self) -> np.ndarray:

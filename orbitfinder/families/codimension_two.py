@@ -102,7 +102,7 @@ def _opposite(test: Critical, root: int, conservative: bool) -> tuple[float | No
 
 def along_circle(_: Critical, about: Spectrum) -> Iterator[Test]:
     """The tests of a curve of tori: where the pair goes along the unit circle, and what another multiplier does."""
-    yield from _resonances(about.root, lambda sample: torus_pair(sample.about.multipliers)[1])
+    yield from _resonances(about.root, lambda sample: torus_pair(sample.about.root_multipliers)[1])
     for kind, mu in (("fold_torus", 1.0), ("doubling_torus", -1.0)):
         yield Test(kind, "", _beside(mu), 1 if mu > 0 else 2, complex(mu))
 
@@ -128,7 +128,7 @@ def _less(measure: Measure, level: float) -> Measure:
 
 
 def _beside(mu: float) -> Measure:
-    return lambda sample: levelled(torus_pair(sample.about.multipliers)[2], mu)
+    return lambda sample: levelled(torus_pair(sample.about.root_multipliers)[2], mu)
 
 
 def folds_turn(interval: Interval) -> Iterator[tuple[Sample, Test]]:

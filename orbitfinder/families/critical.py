@@ -62,7 +62,7 @@ class Critical:
 
     def roots(self, about: Spectrum) -> tuple[np.ndarray, float]:
         """Indices (conservative) or multipliers of an orbit, and the value that one of them has along the curve."""
-        return about.indices if about.conservative else about.multipliers, self.level(about.conservative)
+        return about.indices if about.conservative else about.root_multipliers, self.level(about.conservative)
 
 
 def at_level(test: Critical, curve: Curve, orbits: Sequence[Solution]) -> np.ndarray:

@@ -78,6 +78,11 @@ class Sample:
     turns: np.ndarray
     slopes: dict[str, float]
 
+    @property
+    def multipliers(self) -> np.ndarray:
+        """The non-trivial multipliers of the period; `about.root_multipliers` are those of the root map."""
+        return self.about.floquet.multipliers
+
     @cached_property
     def head(self) -> np.ndarray:
         """The tangent over the head."""

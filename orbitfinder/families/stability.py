@@ -62,14 +62,14 @@ class Spectrum:
         return METHODS[self.chain is not None]
 
     @cached_property
-    def multipliers(self) -> np.ndarray:
+    def root_multipliers(self) -> np.ndarray:
         """The non-trivial multipliers of the root map, not to be written to."""
         return self.values.astype(complex) if self.chain is None else self.chain.product.values
 
     @cached_property
     def ranked(self) -> np.ndarray:
         """The same, the largest modulus first."""
-        return np.asarray(self.multipliers[np.argsort(-np.abs(self.multipliers), kind="stable")])
+        return np.asarray(self.root_multipliers[np.argsort(-np.abs(self.root_multipliers), kind="stable")])
 
     @cached_property
     def growths(self) -> np.ndarray:
