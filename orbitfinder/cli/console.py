@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orbitfinder._runtime import interrupt, streams
+from orbitfinder._runtime import interrupt, limit, streams
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -90,7 +90,7 @@ def time_left(*before: float) -> Callable[[float, float], str]:
         fresh = done - first[0]
         if fresh <= 0 or done >= total:
             return ""
-        return f", {(time.monotonic() - began) / fresh * (total - done):.0f} s left"
+        return f", {min((time.monotonic() - began) / fresh * (total - done), max(limit.left(), 0.0)):.0f} s left"
 
     return said
 

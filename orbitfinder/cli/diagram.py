@@ -63,7 +63,8 @@ def diagram(
             record, deeper = curve.record, curve.depth < chosen["depth"]
             counted[:] = counted[0] + 1, counted[1] + len(leaving(record)) * deeper
             what = f"{plural(len(record.points), 'point')}, {plural(len(record.events), 'event')}"
-            shown.say(f"{curve.file}: {what}; ended: {record.ends[-1].reason}{left(counted[0], counted[1])}")
+            rest = left(*counted).replace(",", "; of the diagram", 1)
+            shown.say(f"{curve.file}: {what}; ended: {record.ends[-1].reason}{rest}")
 
         made = of.diagram(model, loaded.start, parameter, until, box=dict(map(side, box)) or None, name=folder.name,
                           title=loaded.title, out=out, progress=report, folder=trusted(file, trust),

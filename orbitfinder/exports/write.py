@@ -10,7 +10,7 @@ import numpy as np
 from orbitfinder._runtime.arguments import check
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder.errors import InputError
-from orbitfinder.exports.formats import FORMATS
+from orbitfinder.exports.formats import FORMATS, TABLES
 from orbitfinder.exports.source import samples_of, source_of
 from orbitfinder.exports.tables import refuse_another
 from orbitfinder.loops.control import controls_at
@@ -55,7 +55,8 @@ def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None 
         ['fast-swing.csv']
     """
     if to not in FORMATS:
-        raise InputError(f"to: unknown format {to!r}; use one of {', '.join(FORMATS)}")
+        what = f"{to} files hold tables, and {orbit.name} is an orbit" if to in TABLES else f"unknown format {to!r}"
+        raise InputError(f"to: {what}; use one of {', '.join(FORMATS)}")
     acts = FORMATS[to].controlled if orbit.control is not None else ""
     write, any_motion = loaded(acts or FORMATS[to].files), FORMATS[to].any_motion or bool(acts)
     if not any_motion:

@@ -360,6 +360,8 @@ def _request(
     if title := getattr(origin, "title", ""):
         source["title"] = title
     if isinstance(origin, Branch):
+        if title:  # which is that of the family, or of the equilibria, that it leaves
+            source["title"] = f"From {'event ' * isinstance(origin.number, int)}{origin.number} of: {title}"
         head, kind = origin.described(), "branch"
         source = source | head
         del source["name"]

@@ -26,7 +26,7 @@ from orbitfinder.orbits.measure import dense
 from orbitfinder.records.family import Batch, Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 
-SAMPLES, MOTION = 960, 240
+SAMPLES = 960
 """Intervals of a period by which an orbit is known, and that a picture shows"""
 STEADY = 1e6
 """What errors grow by on an orbit that is drawn from its state alone; beyond, it would be seen to leave itself."""
@@ -138,8 +138,8 @@ def motions(family: Family, model: Model, count: int = 8) -> list[MemberMotion]:
     shown = []
     for k in chosen:
         there = with_parameters(model, points[k].free)
-        path = course(there, *_period(points[k], there, MOTION))
-        moments = np.linspace(0.0, path.period, MOTION + 1)[: -1 if path.jumps else None]
+        path = course(there, *_period(points[k], there, SAMPLES))
+        moments = np.linspace(0.0, path.period, SAMPLES + 1)[: -1 if path.jumps else None]
         joints = None if model.points is None else path.positions(moments)
         shown.append(MemberMotion(points[k], path.samples, joints, model.strokes))
     return shown
@@ -179,7 +179,7 @@ def _motions(family: Family, model: Model) -> Iterator[tuple[np.ndarray, np.ndar
             yield np.linspace(0.0, member.period, len(states)), states
         return
     curve = curve_in(family, model)
-    mesh = uniform(curve.equations.symmetry.fraction, 1, SAMPLES)
+    mesh = uniform(curve.equations.symmetry.fraction, 1, SAMPLES // 4)
     for member in family.members:
         known = member if member.mesh.size else replace(member, shooting_nodes=member.state[None], mesh=mesh)
         yield graded(curve, at_place(curve, unknowns_of(curve, known)))

@@ -6,16 +6,13 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 
-NEAR = 8
-"""Numbers, states or their rates, that a polynomial goes through"""
-
 
 def extent(times: np.ndarray, states: np.ndarray, rates: np.ndarray | None = None) -> np.ndarray:
     """Least and greatest values (... x 2 x d) of motions without jumps, between their samples too.
 
     In each step the cubic through states and rates tells where a component turns. There the polynomial p of degree 7
     through states and rates of the four nearest samples, or through the eight nearest states, is evaluated, and its
-    extremum is one Newton step from there: p - p'^2 / (2 p''). The error is of the order h^8 of the steps, and h^7
+    extremum is a Newton step from there: p - p'^2 / (2 p''). The error is of the order h^8 of the steps, and h^7
     without rates.
 
     Args:
@@ -23,8 +20,8 @@ def extent(times: np.ndarray, states: np.ndarray, rates: np.ndarray | None = Non
         states: values at these instants (... x m + 1 x d).
         rates: time derivatives of the states there (... x m + 1 x d), if they are known.
     """
-    every, width = np.arange(times.shape[-1]), NEAR if rates is None else NEAR // 2
-    slopes = _near(times, states, None, every, np.zeros(1), NEAR)[1] if rates is None else rates
+    every = np.arange(times.shape[-1])
+    slopes = _near(times, states, None, every, np.zeros(1))[1] if rates is None else rates
     lengths, chord = np.diff(times)[..., None], np.diff(states, axis=-2)
     begin, end = lengths * slopes[..., :-1, :], lengths * slopes[..., 1:, :]
     a, b = begin + end - 2 * chord, 3 * chord - 2 * begin - end
@@ -36,7 +33,7 @@ def extent(times: np.ndarray, states: np.ndarray, rates: np.ndarray | None = Non
         turns = (share > 0) & (share < 1)
         at = np.flatnonzero(np.moveaxis(turns, -2, 0).reshape(len(every) - 1, -1).any(axis=1))
         later, turns = (share * lengths)[..., at, :], turns[..., at, :]
-        value, slope, bend = _near(times, states, rates, at, later, width)
+        value, slope, bend = _near(times, states, rates, at, later)
         inside = turns & (2 * np.abs(slope) < np.abs(bend) * lengths[..., at, :])
         values.append(value - np.where(inside, slope * slope / np.where(inside, 2 * bend, 1.0), 0.0))
     both = np.concatenate(values, axis=-2)
@@ -44,11 +41,11 @@ def extent(times: np.ndarray, states: np.ndarray, rates: np.ndarray | None = Non
 
 
 def _near(
-    times: np.ndarray, states: np.ndarray, rates: np.ndarray | None, at: np.ndarray, later: np.ndarray, width: int
+    times: np.ndarray, states: np.ndarray, rates: np.ndarray | None, at: np.ndarray, later: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Values, slopes and second derivatives (... x k x d) of polynomials through the nearest samples, so long
     `later` than the samples `at` (k), by Newton's divided differences."""
-    count = min(width, times.shape[-1])
+    count = min(8 if rates is None else 4, times.shape[-1])
     nearest = np.clip(at - (count - 1) // 2, 0, times.shape[-1] - count)[:, None] + np.arange(count)
     moments, f = times[..., nearest] - times[..., at, None], states[..., nearest, :]
     unit = nonzero(np.ptp(moments, axis=-1))[..., None]
@@ -58,11 +55,9 @@ def _near(
     leading = [f[..., 0, :]]
     for order in range(1, z.shape[-1]):
         gaps = (z[..., order:] - z[..., :-order])[..., None]
+        f = np.diff(f, axis=-2) / np.where(gaps > 0, gaps, 1.0)
         if rates is not None and order == 1:
-            f = np.diff(f, axis=-2) / np.where(gaps > 0, gaps, 1.0)
             f[..., ::2, :] = rates[..., nearest, :] * unit[..., None]
-        else:
-            f = np.diff(f, axis=-2) / gaps
         leading.append(f[..., 0, :])
     value = slope = bend = np.zeros_like(states[..., at, :])
     for k in reversed(range(len(leading))):

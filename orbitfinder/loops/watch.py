@@ -24,8 +24,7 @@ from orbitfinder.records.family import FamilyPoint
 
 Number = Callable[[np.ndarray, np.ndarray, Mapping[str, float]], float]
 """What makes a number of times, states and parameters by name"""
-DRAWS, EQUAL = 3, 1e-12
-"""Draws of errors, and the share of a motion by which steps that are equal differ"""
+DRAWS = 3
 
 
 @dataclass(frozen=True)
@@ -152,7 +151,7 @@ def mean(times: np.ndarray, values: np.ndarray) -> float:
     total = 0.0
     for arc in arcs(times):
         t, own = times[arc], values[arc]
-        equal = np.ptp(np.diff(t)) < EQUAL * np.ptp(t)
+        equal = np.ptp(np.diff(t)) < 1e-12 * np.ptp(t)
         total += simpson(own, x=t) if equal else make_interp_spline(t, own, min(7, t.size - 1)).integrate(t[0], t[-1])
     return float(total / (times[-1] - times[0]))
 

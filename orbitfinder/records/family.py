@@ -9,6 +9,7 @@ last. family.json carries the digest of its own entries (`record`) and of the ar
 from __future__ import annotations
 
 import hashlib
+import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -321,9 +322,11 @@ class Family(Tabled):
             raise ValueError("state: not of one size in all points and events")
 
     def values(self, name: str) -> np.ndarray:
-        """One number of every point as an array, in order along the family: of a parameter, a watched number, or of
-        its orbit (period, energy, closure, ...). Raises `InputError` for others."""
-        return np.asarray([self.value(point, name) for point in self.points])
+        """One number of every point as an array, in order along the family: of a parameter, a watched number, of its
+        orbit (period, energy, closure, ...) or an extent of its table (amplitude_C, min_C, max_C, largest_multiplier).
+        Raises `InputError` for others."""
+        columns = self.tables()["points"] if re.match("(amplitude|min|max|largest)_", name) else {}
+        return np.asarray(columns[name] if name in columns else [self.value(point, name) for point in self.points])
 
     def value(self, member: FamilyPoint | Event, name: str) -> Any:
         """The same of a point or an event."""
@@ -341,9 +344,11 @@ class Family(Tabled):
     def __iter__(self) -> Iterator[FamilyPoint]:
         return iter(self.points)
 
-    def __getitem__(self, k: int) -> FamilyPoint:
-        """The k-th point with times and samples over its period. Raises `InputError` where no file describes its
-        system."""
+    def __getitem__(self, k: int | slice) -> Any:
+        """The k-th point with times and samples over its period, or those of a slice, a list. Raises `InputError` where
+        no file describes its system."""
+        if isinstance(k, slice):
+            return [self[number] for number in range(len(self))[k]]
         point: FamilyPoint = loaded("families.members:sampled_point")(self.points[k])
         return point
 
@@ -380,7 +385,7 @@ class Family(Tabled):
         return tuple(map(self.beside, self.events))
 
     def beside(self, event: Event) -> tuple[str, str]:
-        """The same of one of its events."""
+        """The same of an event."""
         ends = [self.points[min(max(k, 0), len(self) - 1)].stability for k in (event.index, event.index + 1)]
         mates = [each for each in self.events if each.index == event.index]
         turns = {each.arclength: each.detail for each in mates if each.detail in BECOMES}
@@ -568,8 +573,8 @@ def assemble(journal: Journal) -> Family:
     about = header["name"], header["system"], header["curve"]
     numbered = tuple(situated(point, k, *about) for k, point in enumerate(points))
     places = np.array([point.arclength for point in numbered])
-    found = (reverted(event) if batch.direction < 0 else event for batch in journal.batches for event in batch.events)
-    events = sorted(found, key=attrgetter("arclength"))
+    said = (reverted(event) if batch.direction < 0 else event for batch in journal.batches for event in batch.events)
+    events = sorted(said, key=attrgetter("arclength"))
     indexed = tuple(replace(event, index=int(np.searchsorted(places, event.arclength)) - 1) for event in events)
     ends = tuple(end for end in (journal.end(-1), journal.end(1)) if end is not None)
     more = header["curve"], header.get("source", {})

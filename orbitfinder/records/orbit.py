@@ -126,7 +126,7 @@ class Orbit(Shown):
     title: str = ""
     source: str = ""
     proof: Mapping[str, Any] | None = None
-    record: str | None = None
+    record: str | None = field(default=None, compare=False)
     shift: Mapping[str, float] = field(default_factory=dict)
 
     control: Mapping[str, Any] | None = None
