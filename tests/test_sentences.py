@@ -1,14 +1,19 @@
 """Every sentence about stability along every shipped family: what events say agrees with the orbits beside them."""
 
+import base64
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from orbitfinder import systems
 from orbitfinder.families.happening import sentence
-from orbitfinder.records.family import BECOMES, load_family
+from orbitfinder.records.codec import plain
+from orbitfinder.records.family import BECOMES, Batch, Journal, assemble, load_family, reverted, save_family
 from orbitfinder.site import pages
+from orbitfinder.site.landscape import landscape
 
 RESULTS = Path(__file__).parents[1] / "results" / "families"
 FAMILIES = sorted(RESULTS.glob("*/family.json"))
@@ -50,12 +55,25 @@ def test_what_events_say_agrees_with_the_orbits_beside_them(file):
     assert sum(a != b for a, b in family.sides if "unstable" in (a, b)) >= count
 
 
-def test_a_change_on_the_part_before_the_start_is_told_in_the_order_of_the_points():
-    """The shipped record was followed backwards there, and said so: "becomes unstable" of -36.688."""
+def test_a_change_on_the_part_before_the_start_is_told_in_the_order_of_the_points(tmp_path):
+    """Older files tell it as it was followed, away from the start: "becomes unstable" of -36.688, and are read right;
+    so are journals, whose steps backwards tell it so."""
     family = load_family(RESULTS / "triple-1" / "family.json")
-    assert {round(e.parameter, 6): e.detail for e in family.events if e.detail in BECOMES} == {
-        -36.688008: "becomes stable", -38.489693: "becomes unstable"
-    }  # fmt: skip
+    known = {-36.688008: "becomes stable", -38.489693: "becomes unstable"}
+    assert {round(e.parameter, 6): e.detail for e in family.events if e.detail in BECOMES} == known
+    older = [reverted(event) if event.arclength < 0 else event for event in family.events]
+    assert older[6].detail == "becomes unstable" and older[6].arclength < 0
+    again = load_family(save_family(replace(family, events=tuple(older)), tmp_path))
+    assert [event.detail for event in again.events] == [event.detail for event in family.events]
+    header = {
+        "origin": plain(family.points[0]),
+        "name": "a",
+        "system": {},
+        "parameter": "energy",
+        "curve": family.curve,
+    }
+    journal = Journal(header, (Batch(-1, (), (older[6],)), Batch(1, (), (family.events[6],))))
+    assert [event.detail for event in assemble(journal).events] == ["becomes stable"] * 2
 
 
 def test_an_event_after_a_change_in_one_interval_is_after_it():
@@ -119,3 +137,20 @@ def test_orbits_without_an_energy_have_none_on_a_page():
     values = pages.family_values(neuron, items := picked(neuron))
     assert "energy" not in values["summary"] and not values["levels"] and values["useful"] == ["value", "arclength"]
     assert all(item["action"] is None for item in items)
+
+
+def test_the_line_of_equal_energy_through_saddles_is_straight():
+    """Henon and Heiles' at 1/6 are three straight lines; a page was 0.018 beside them."""
+    made = landscape(systems.henon_heiles(), {"centre": [0.0, 0.0], "spans": [2.0, 2.0]}, many=True)
+    down, right = np.array(made["down"]), np.array(made["right"])
+    over = np.frombuffer(base64.b64decode(made["data"]), "<f4").astype(float).reshape(down.size, right.size) - 1 / 6
+    y, x = np.meshgrid(-down, right, indexing="ij")
+    worst = []
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        cut = (over[a] < 0) != (over[b] < 0)
+        share = over[a][cut] / (over[a] - over[b])[cut]
+        px, py = (each[a][cut] + share * (each[b] - each[a])[cut] for each in (x, y))
+        lines = [py + 0.5, (py - 1 + np.sqrt(3) * px) / 2, (py - 1 - np.sqrt(3) * px) / 2]
+        inside = np.maximum(np.abs(px), np.abs(py)) < 1.5
+        worst.append(np.abs(lines).min(axis=0)[inside].max())
+    assert max(worst) < 0.006

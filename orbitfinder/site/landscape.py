@@ -12,7 +12,7 @@ from orbitfinder.site.motion import base64_of
 
 CELLS, REACH = 60, 1.5
 """Cells of the grid each way, and how far it goes from the middle of the picture, in its larger side"""
-MANY, FOCUS = 76, 3.0
+MANY, FOCUS = 152, 2.0
 """Cells of a grid for motions of many sizes, and the sinh to which their places are stretched: fine in the middle"""
 
 
