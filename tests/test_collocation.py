@@ -147,6 +147,14 @@ def test_derivatives_are_those_of_differences():
     assert np.allclose(grown, np.maximum(np.linalg.eigvals(slopes).real.max(axis=1), 0.0)) and not none.any()
 
 
+def test_a_step_of_no_length_leaves_its_state_as_it_is():
+    """It said "invalid value encountered in divide", with no place: warnings are errors here."""
+    march = Equations(van_der_pol(1), NONE, ("mu",), by=Collocation).march
+    nodes, mesh = np.random.default_rng(0).normal(size=(4, 2)), np.array([0.0, 0.2, 0.2, 0.6, 1.0])
+    ends = march.ends(nodes, mesh, np.array([2.0, 1.0]))
+    assert np.isfinite(ends).all() and np.array_equal(ends[1], nodes[1])
+
+
 def test_a_driven_oscillator_is_collocated():
     """Nothing turns and no phase is free: the monodromy is not reduced. A quarter later is another t = 0."""
     for cosine, sine in ((1.0, 0.0), (0.0, 1.0)):

@@ -237,6 +237,7 @@ def test_a_verdict_that_changes_at_a_fold_by_almost_nothing_is_kept():
     settings = FamilySettings(directions="backward", points=8, certify=False)
     found = follow_family(start, "energy", settings=settings)
     changes = [(one.kind, one.detail) for one in found.events if one.kind != "turn"]
-    assert changes == [("fold", "energy"), ("stability_change", "becomes stable")]
+    assert changes == [("fold", "energy"), ("stability_change", "becomes unstable")]  # in the order of the points
+    assert found.points[-1].stability == "unstable" != found.points[0].stability
     assert found.events[0].parameter == pytest.approx(-77.450824102262, abs=1e-9)
     assert all(one.check.passed for one in found.events)

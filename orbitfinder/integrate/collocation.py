@@ -253,9 +253,8 @@ class Collocation(Gridded):
         """Stages (P x m x d) on the cubics through nodes and rates, the last of which ends where the first begins; on
         straight lines where steps do not follow each other."""
         moments = begins * tails[:, 0] * self.forced
-        slopes = (steps * tails[:, 0])[:, None] * self._evaluated(moments, nodes, tails)[0]
-        ahead = np.roll(nodes, -1, axis=0) - nodes
-        later = np.roll(slopes / steps[:, None], -1, axis=0) * steps[:, None]
+        rates, ahead = tails[:, :1] * self._evaluated(moments, nodes, tails)[0], np.roll(nodes, -1, axis=0) - nodes
+        slopes, later = steps[:, None] * rates, steps[:, None] * np.roll(rates, -1, axis=0)
         jumps = np.append(begins[1:] - begins[:-1] > 1.5 * steps[:-1], False)
         jumps[-1] = len(nodes) == 1 or np.any(np.abs(ahead[-1]) > 0.5 * np.ptp(nodes, axis=0))
         ahead[jumps] = later[jumps] = slopes[jumps]
