@@ -118,7 +118,7 @@ linear = true
     for name, changed, said in (
         ("outside", text.replace("m.mtx", "../m.mtx"), "system.mass: '../m.mtx' lies outside the problem file"),
         ("gone", text, "m.mtx: no such file"),
-        ("words", text.replace('"c.npz"', '"words.toml"'), "system.damping: words.toml is no matrix"),
+        ("words", text.replace('"c.npz"', '"words.toml"'), "system.damping: words.toml is not a matrix"),
     ):  # fmt: skip
         (tmp_path / f"{name}.toml").write_text(changed)
         if name == "words":
@@ -157,7 +157,7 @@ def test_other_programs_files_are_what_they_mean_or_refused(written, meant):
     else:
         with pytest.raises(InputError) as error:
             of.structure(np.eye(2), written, np.eye(2))
-        assert "damping: text is no matrix (" in str(error.value) and meant in str(error.value), str(error.value)
+        assert "damping: text is not a matrix (" in str(error.value) and meant in str(error.value), str(error.value)
 
 
 def test_the_frequency_of_the_load_may_be_shared():
@@ -181,7 +181,7 @@ def element(**given):
         ({"mass": "missing.mtx"}, "mass: missing.mtx: no such file"),
         ({"mass": np.diag([1.0, 0.0, 1.0])}, "mass: no mass moves with q2"),
         ({"mass": np.ones((3, 3))}, "mass: not positive definite"),
-        ({"mass": "%%MatrixMarket matrix coordinate real general\n3 3 1\n4 1 1.0"}, "mass: text is no matrix ("),
+        ({"mass": "%%MatrixMarket matrix coordinate real general\n3 3 1\n4 1 1.0"}, "mass: text is not a matrix ("),
         ({"stiffness": np.triu(STIFF)}, "stiffness: not symmetric: entries 1,2 and 2,1 are -1 and 0"),
         ({"stiffness": np.full((3, 3), np.nan)}, "stiffness: has entries that are not finite"),
         ({"stiffness": [["a"]]}, "stiffness: no matrix of numbers"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from orbitfinder._runtime import __version__
+from orbitfinder._runtime.inert import inert
 from orbitfinder.control import law
 from orbitfinder.control.controller import Controller
 from orbitfinder.control.law import Law
@@ -78,36 +78,34 @@ def _heading(controller: Controller, states: tuple[str, ...]) -> list[str]:
     since = f" since the last {controller.event}" if controller.event else ""
     kept = f"the time (s){since}, which the controller keeps"
     measured = kept if controller.clock else "its place on the orbit (s)"
-    return [
+    lines = [
         f"Holds {controller.name!r} (period {controller.period!r} s) by {', '.join(controller.actuators)}.",
         f"State: {', '.join(states)}; tau: {measured}.",
         *([f"After every {controller.event} tau begins anew: go on from tau = 0."] if controller.event else []),
         f"Largest multiplier of the nonlinear closed loop: {abs(controller.multipliers).max():.6g}.",
         f"Written by orbitfinder {__version__}.",
     ]
+    return [inert(line, "comment") for line in lines]
 
 
 def python_text(controller: Controller, states: tuple[str, ...]) -> str:
     """The law itself, its table, and a command that prints the controls at a state."""
     source = Path(law.__file__).read_text(encoding="utf-8")
     table = {name: plain_numbers(getattr(controller, name)) for name in TABLE}
-    entries = [f'    "{name}": {_python(entry)},' for name, entry in table.items()]
+    entries = [f'    "{name}": {entry!a},' for name, entry in table.items()]
     comment = "".join(f"# {line}\n" for line in _heading(controller, states))
-    return f"{comment}{source}\n\nTABLE = {{\n" + "\n".join(entries) + f"\n}}\n{MAIN}"
-
-
-def _python(entry: object) -> str:
-    if isinstance(entry, bool):
-        return repr(entry)
-    return json.dumps(entry if not isinstance(entry, tuple) else list(entry)).replace("Infinity", "float('inf')")
+    return f'{comment}{source}\n\ninf = float("inf")\nTABLE = {{\n' + "\n".join(entries) + f"\n}}\n{MAIN}"
 
 
 MAIN = """
 if __name__ == "__main__":
     import sys
 
-    numbers = [float(word) for word in sys.argv[1:]]
     law = Law(TABLE)
+    try:
+        numbers = [float(word) for word in sys.argv[1:]]
+    except ValueError:
+        numbers = []
     if len(numbers) not in (law.size, law.size + 1):
         sys.exit(f"usage: {sys.argv[0]} {law.size} numbers of the state [where it is expected, s]")
     x = np.array(numbers[: law.size])
@@ -225,7 +223,7 @@ def c_text(controller: Controller, states: tuple[str, ...]) -> str:
     """The text of NAME_controller.c: C99 that needs only <math.h>."""
     own, word = law_of(controller), word_of(controller.name)
     numbers = {
-        "HEADING": "\n   ".join(_heading(controller, states)).replace("*/", "* /"), "NODES": str(own.count),
+        "HEADING": "\n   ".join(_heading(controller, states)), "NODES": str(own.count),
         "SIZE": str(own.size), "COUNT": str(own.controls), "ROW": str(own.rows.shape[1]),
         "PERIOD": c_number(own.period), "UNITS": c_numbers(own.units), "ANGLES": c_numbers(own.angles),
         "LOW": _bounds(own.low), "HIGH": _bounds(own.high),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from orbitfinder._runtime.inert import inert
 from orbitfinder.exports.source import C, Source, c_number, c_numbers, straight_line
 
 
@@ -16,9 +17,9 @@ def c_files(source: Source) -> dict[str, str]:
 
 enum {{ {word}_states = {sizes[0]}, {word}_parameters = {sizes[1]}, {word}_unfoldings = {sizes[2]} }};
 
-/* {", ".join(model.parameter_names) or "no parameters"} */
+/* {inert(", ".join(model.parameter_names), "comment") or "no parameters"} */
 const double {word}_p[] = {{{c_numbers(model.parameter_values) or "0.0"}}};
-/* {", ".join(model.state_names)} at t = 0 */
+/* {inert(", ".join(model.state_names), "comment")} at t = 0 */
 const double {word}_x0[] = {{{c_numbers(source.orbit.state)}}};
 const double {word}_period = {c_number(source.orbit.period)};
 

@@ -7,6 +7,7 @@ import json
 import numpy as np
 
 from orbitfinder._runtime import __version__
+from orbitfinder._runtime.inert import inert
 from orbitfinder.exports.source import c_number, c_numbers, word_of
 from orbitfinder.loops.control import basis_of, pieces
 from orbitfinder.mechanics.model import Model
@@ -20,11 +21,11 @@ def control_files(orbit: Orbit, model: Model) -> dict[str, str]:
     entry, word, series = orbit.control, word_of(orbit.name), basis_of(orbit.control).degree < 0
     whole = np.array([0.0, orbit.period]), np.array(entry["coefficients"], float)[None]
     edges, table = whole if series else pieces(entry, orbit.period)
-    lines = [
+    lines = [inert(line, "comment") for line in (
         f"Controls {', '.join(entry['names'])} of {orbit.name!r} (period {orbit.period!r} s), without feedback.",
         f"Written by orbitfinder {__version__}.",
         f"Of each piece and control: {_meaning(series)}.",
-    ]
+    )]  # fmt: skip
     return {f"{word}_control.c": _c(word, lines, edges, table, series),
             f"{word}_control.py": _python(lines, edges, table, series)}  # fmt: skip
 
@@ -46,7 +47,7 @@ def _c(word: str, lines: list[str], edges: np.ndarray, table: np.ndarray, series
     for (i = {terms - 1}; i >= 0; i--) u[j] = u[j] * s + c[i];"""
     )
     rows = ",\n".join(f"  {{{', '.join(f'{{{c_numbers(row)}}}' for row in piece)}}}" for piece in table)
-    heading = "\n   ".join(lines).replace("*/", "* /")
+    heading = "\n   ".join(lines)
     return f"""/* {heading} */
 #include <math.h>
 
@@ -107,5 +108,9 @@ def control(t):
 
 
 if __name__ == "__main__":
-    print(*map(repr, control(float(sys.argv[1]))))
+    try:
+        (time,) = map(float, sys.argv[1:])
+    except ValueError:
+        sys.exit(f"usage: {{sys.argv[0]}} seconds-after-the-period-began")
+    print(*map(repr, control(time)))
 '''

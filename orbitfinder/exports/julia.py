@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from orbitfinder._runtime.inert import inert
 from orbitfinder.exports.source import JULIA, Source, c_number, c_numbers, straight_line
 
 
@@ -30,7 +31,7 @@ def julia_files(source: Source) -> dict[str, str]:
     text = f"""{heading}
 #
 # Plain Julia without packages: include it, then
-#   {module}.rhs!(du, u, par, t)   right-hand side, u = ({", ".join(source.model.state_names)})
+#   {module}.rhs!(du, u, par, t)   right-hand side, u = ({inert(", ".join(source.model.state_names), "comment")})
 #   {module}.par                   parameters; unfolding is a fictitious damping, 0 on orbits of the system
 #   {module}.period, .u0           the orbit: minimal period (s) and state at t = 0
 #   {module}.times, .orbit         one period, a state per column

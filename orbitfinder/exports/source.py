@@ -11,6 +11,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime import __version__
+from orbitfinder._runtime.inert import inert
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.kind import build_model
@@ -53,17 +54,10 @@ class Source:
     @property
     def heading(self) -> list[str]:
         """Comment lines for the top of a file: what this is and where it comes from."""
-        title = " ".join((self.orbit.title or self.orbit.name).split())
-        plain = "".join(letter if letter.isprintable() and letter.isascii() else "?" for letter in title)
-        return [
-            f"{plain.replace('*/', '* /')}",
-            worded(
-                f"period {self.orbit.period!r} s"
-                + (f", energy {self.orbit.energy!r} J" if np.isfinite(self.orbit.energy) else ""),
-                self.orbit.system,
-            ),
-            f"written by orbitfinder {__version__}",
-        ]
+        energy = f", energy {self.orbit.energy!r} J" if np.isfinite(self.orbit.energy) else ""
+        numbers = worded(f"period {self.orbit.period!r} s{energy}", self.orbit.system)
+        lines = (self.orbit.title or self.orbit.name, numbers, f"written by orbitfinder {__version__}")
+        return [inert(line, "comment") for line in lines]
 
 
 def word_of(name: str) -> str:

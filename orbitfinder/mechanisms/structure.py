@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,12 @@ from orbitfinder.errors import InputError, closest, shortened
 from orbitfinder.mechanics.kind import KINDS, SystemKind
 from orbitfinder.mechanics.lagrange import Symbols, Terms, coordinate_names, detected_invariants, mechanical_model
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.reading import file_beside, file_bytes
+from orbitfinder.records.reading import file_beside, file_bytes, npz_members
 
 Matrix = Any
 """Dense, SciPy's sparse, the path of a Matrix Market (.mtx) or NumPy file (.npz), or Matrix Market text"""
+LARGEST = 50_000_000
+"""Bytes of a file of a matrix"""
 MARKET, MATRICES, FORMATS = "%%MatrixMarket", ("mass", "damping", "stiffness"), (
     ("matrix",), ("coordinate", "array"), ("real", "double", "integer"), ("general", "symmetric", "skew-symmetric"),
 )  # fmt: skip
@@ -81,15 +82,10 @@ def structure(
     See Also:
         `of.mechanism` for rigid bodies, `of.lagrange` from energies.
     """
-    given = {"mass": _matrix("mass", mass), "stiffness": _matrix("stiffness", stiffness)}
-    if damping is not None:
-        given["damping"] = _matrix("damping", damping)
-    size = given["mass"].shape[0]
-    for name, matrix in given.items():
-        if matrix.shape != (size, size):
-            raise InputError(f"{name}: shape {matrix.shape}, but mass is {size} x {size}; give them one size")
-    m, k = (_symmetric(name, given[name]) for name in ("mass", "stiffness"))
-    c = given.get("damping", sparse.csc_matrix((size, size)))
+    m = _symmetric("mass", _matrix("mass", mass))
+    size = m.shape[0]
+    k = _symmetric("stiffness", _matrix("stiffness", stiffness, size))
+    c = sparse.csc_matrix((size, size)) if damping is None else _matrix("damping", damping, size)
     written = _Written(size, names, parameters or {})
     for name, element in (elements or {}).items():
         written.add(name, element)
@@ -135,8 +131,8 @@ def _is_text(given: str) -> bool:
     return given.lstrip()[: len(MARKET)].lower() == MARKET.lower()
 
 
-def _matrix(name: str, given: Matrix) -> Any:
-    """A matrix as SciPy's sparse columns, or `InputError`."""
+def _matrix(name: str, given: Matrix, size: int | None = None) -> Any:
+    """A matrix as SciPy's sparse columns, of the mass's `size`, or `InputError`; compiled code gets no others."""
     if isinstance(given, (str, Path)):
         text = str(given)
         given = _read(name, "text", text.encode()) if _is_text(text) else _read(name, *_file(name, Path(text)))
@@ -144,13 +140,22 @@ def _matrix(name: str, given: Matrix) -> Any:
         given = given if sparse.issparse(given) else np.asarray(given)
         if given.dtype.kind not in "buif":
             raise ValueError(f"{given.dtype} entries" + ": make damping viscous" * (given.dtype.kind == "c"))
+        if hasattr(given, "check_format"):
+            given.check_format(full_check=True)
+        if given.ndim != 2 or given.shape[0] != given.shape[1] or not given.shape[0]:
+            raise InputError(f"{name}: shape {given.shape}; a square matrix is wanted, n x n")
+        if given.shape[0] != (size or given.shape[0]):
+            raise InputError(f"{name}: shape {given.shape}, but mass is {size} x {size}; give them one size")
+        if size is None and (entries := given.nnz if sparse.issparse(given) else given.size) < given.shape[0]:
+            raise InputError(f"{name}: shape {given.shape} with {entries} entries; every coordinate needs its own "
+                             "mass, give a matrix with a diagonal")  # fmt: skip
         columns = sparse.csc_matrix(given, dtype=float)
+    except InputError:
+        raise
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: no matrix of numbers ({shortened(error, 80)}); give n x n real numbers") from error
     if not np.isfinite(columns.data).all():
         raise InputError(f"{name}: has entries that are not finite; write it anew")
-    if columns.shape[0] != columns.shape[1] or not columns.shape[0]:
-        raise InputError(f"{name}: shape {columns.shape}; a square matrix is wanted, n x n")
     columns.sum_duplicates()
     columns.eliminate_zeros()
     return columns
@@ -158,7 +163,7 @@ def _matrix(name: str, given: Matrix) -> Any:
 
 def _file(name: str, path: Path) -> tuple[str, bytes]:
     try:
-        return path.name, file_bytes(path, "file of a matrix")
+        return path.name, file_bytes(path, "file of a matrix", LARGEST)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
 
@@ -167,52 +172,76 @@ def _read(name: str, file: str, data: bytes) -> Any:
     """The matrix in a file's bytes, by what they begin with."""
     try:
         if data.startswith(b"PK"):
-            with np.load(BytesIO(data)) as archive:
-                if "format" in archive:
-                    return sparse.load_npz(BytesIO(data))
-                if len(archive.files) != 1:
-                    raise ValueError(f"it has {len(archive.files)} arrays, a single array is wanted")
-                return archive[archive.files[0]]
+            return _packed(npz_members(data, (), 2 * LARGEST, "fiubcSU"))
         if not _is_text(text := data.decode(errors="replace")):
             raise ValueError(f"it begins with neither {MARKET} nor as .npz does")
         return _parsed(text)
-    except Exception as error:  # of SciPy, NumPy and zipfile: what they raise has no common base
-        raise InputError(
-            f"{name}: {file} is no matrix ({shortened(error, 120)}); give a Matrix Market or .npz file"
-        ) from error
+    except (ValueError, TypeError, KeyError, IndexError, OverflowError) as error:  # of SciPy and NumPy too
+        why = f"no {error} in it" if isinstance(error, KeyError) else shortened(error, 120)
+        raise InputError(f"{name}: {file} is not a matrix ({why}); give a Matrix Market or .npz file") from error
+
+
+def _packed(members: Mapping[str, np.ndarray]) -> Any:
+    """The matrix in the arrays of a .npz file, dense or sparse as SciPy writes it. Raises `ValueError`, `KeyError`."""
+    if "format" not in members:
+        if len(members) != 1:
+            raise ValueError(f"it has {len(members)} arrays, a single array is wanted")
+        return next(iter(members.values()))
+    form, names = members["format"].astype(str).item(), ("indices", "indptr", "row", "col", "offsets", "shape")
+    if wrong := [name for name in names if name in members and members[name].dtype.kind != "i"]:
+        raise ValueError(f"{wrong[0]} are not whole numbers")
+    data, shape = members["data"], tuple(members["shape"].tolist())
+    if len(shape) != 2 or min(shape) < 1:
+        raise ValueError(f"shape {shape}")
+    if form == "coo":
+        return sparse.coo_matrix((data, (members["row"], members["col"])), shape)
+    if form == "dia":
+        return sparse.dia_matrix((data, members["offsets"]), shape)
+    if form not in ("csr", "csc", "bsr"):
+        raise ValueError(f"format {form!r}")
+    return getattr(sparse, f"{form}_matrix")((data, members["indices"], members["indptr"]), shape)
 
 
 def _parsed(text: str) -> Any:
     """The matrix in Matrix Market text, strictly. SciPy's reader takes Fortran's 2.0D3 for 2, adds up both triangles of
     what is said to be symmetric, and reads ones where there are no numbers. Raises `ValueError`."""
-    header, *body = text.strip().splitlines()
+    header, _, body = text.strip().partition("\n")
     kind = tuple(header.lower().split()[1:])
     if kind not in set(product(*FORMATS)):
         raise ValueError(f"its header {header!r} is not {' '.join('|'.join(words) for words in FORMATS)}")
-    lines = [line.lower().replace("d", "e").split() for line in body if line.strip() and line.lstrip()[0] != "%"]
-    (high, wide, *count), *rows = [[float(word) for word in line] for line in lines]
-    shape = int(high), int(wide)
-    if kind[1] == "array":
-        j, i = np.nonzero(np.tri(*shape, {"general": shape[1], "symmetric": 0}.get(kind[3], -1)).T)
-        x, count = np.array([x for row in rows for x in row]), [len(i)]
+    lines = (line.lower().replace("d", "e").split() for line in body.splitlines() if line.strip()[:1] not in ("", "%"))
+    high, wide, *count = map(float, next(lines, ()))
+    shape, dense = (int(high), int(wide)), kind[1] == "array"
+    x = np.fromiter(_numbers(lines, None if dense else 3), float)
+    if dense:
+        side = {"general": wide, "symmetric": (wide + 1) / 2}.get(kind[3], (wide - 1) / 2)
+        count = [high * side if kind[3] == "general" or high == wide else -1.0]
+    if [x.size if dense else x.size // 3] != count:
+        raise ValueError(f"it has {x.size if dense else x.size // 3} entries, not "
+                         f"{' '.join(f'{number:g}' for number in count)}")  # fmt: skip
+    if dense:
+        j, i = np.nonzero(np.tri(*shape, {"general": shape[1], "symmetric": 0}.get(kind[3], -1), bool).T)
     else:
-        if any(len(row) != 3 for row in rows):
-            raise ValueError("a line of it is not a row, a column and a number")
-        i, j, x = np.array(rows).reshape(-1, 3).T
-        i, j = i.astype(int) - 1, j.astype(int) - 1
-        if not np.all((i >= 0) & (i < high) & (j >= 0) & (j < wide)):
+        row, column, x = x.reshape(-1, 3).T
+        if not np.all((row >= 1) & (row <= high) & (column >= 1) & (column <= wide)):
             raise ValueError(f"an entry lies outside {shape[0]} x {shape[1]}; rows and columns count from 1")
-    if [len(x)] != count:
-        raise ValueError(f"it has {len(x)} entries, not {' '.join(f'{number:g}' for number in count)}")
-    given, off = sparse.coo_matrix((x, (i, j)), shape), i != j
+        i, j = row.astype(int) - 1, column.astype(int) - 1
+    off = i != j
     if kind[3] == "general":
-        return given
+        return sparse.coo_matrix((x, (i, j)), shape)
     pairs = set(zip(i[off].tolist(), j[off].tolist(), strict=True))
     if both := sorted(pairs & {(b, a) for a, b in pairs}):
         a, b = both[0][0] + 1, both[0][1] + 1
         raise ValueError(f"{kind[3]}, yet it has {a},{b} and {b},{a}: keep a triangle, or call it general")
     mirrored = x[off] if kind[3] == "symmetric" else -x[off]
-    return given + sparse.coo_matrix((mirrored, (j[off], i[off])), shape)
+    return sparse.coo_matrix((np.append(x, mirrored), (np.append(i, j[off]), np.append(j, i[off]))), shape)
+
+
+def _numbers(lines: Iterable[Sequence[str]], width: int | None) -> Iterator[float]:
+    for line in lines:
+        if len(line) != (width or len(line)):
+            raise ValueError("a line of it is not a row, a column and a number")
+        yield from map(float, line)
 
 
 def _symmetric(name: str, matrix: Any) -> Any:

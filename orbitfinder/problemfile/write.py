@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime.inert import inert
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.kind import OTHER, system_kind
 from orbitfinder.problemfile.proposals import Proposal, Proposals
@@ -158,7 +158,7 @@ def toml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        return inert(value, "toml")
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, Mapping):
@@ -169,4 +169,4 @@ def toml(value: Any) -> str:
 
 
 def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else inert(name, "toml")

@@ -16,14 +16,18 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, altered
 from orbitfinder.records.reading import file_bytes
 
-WORD, NUMBER = re.compile(r"(?<![\w.])[A-Za-z_]\w*"), r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+WORD, NUMBER = re.compile(r"(?<![\w.])[A-Za-z_]\w*"), r"[+-]?(?:\d++\.?\d*+|\.\d++)(?:[eE][+-]?\d++)?"
 VALUE = rf"([A-Za-z_]\w*) ?= ?({NUMBER})(?: ?, ?| |$)"
 LISTS, LEFT_OUT = (
     {**dict.fromkeys(("p", "par", "param", "params", "parameter", "parameters"), "parameters"),
      **dict.fromkeys(("n", "num", "number"), "let"), **dict.fromkeys(("i", "init"), "start")},
-    {"a", "aux", "set", "options", "only", "export"},
+    {"a", "aux", "set", "options", "only"},
 )  # fmt: skip
-"""What changes no equation: columns of tables, choices of a window"""
+"""What changes no equation: columns of tables, values to choose from later, choices of a window"""
+PRIORITIES = {**dict.fromkeys(("+", "-", "|", "||"), 4), **dict.fromkeys(("*", "/", "&", "&&"), 6),
+              **dict.fromkeys(("^", "**", ">", "<", "==", ">=", "<=", "!="), 7)}  # fmt: skip
+"""How tightly operators bind, all from the left; a minus and a not before something bind as a product does"""
+TOKEN = re.compile(rf" ?({NUMBER[5:]}|[A-Za-z_]\w*|\*\*|[=<>!]=|&&|\|\||[-+*/^<>&|(),])")
 OWN = {"heav": ("heav(u)", "if(u >= 0, 1, 0)"), "ln": ("ln(u)", "log(u)"), "log10": ("log10(u)", "log(u)/log(10)"),
        "not": ("not_(u)", "if(u, 0, 1)")}  # fmt: skip
 """XPPAUT's functions that are written out in ours"""
@@ -33,6 +37,10 @@ FORMS = {
     r"([A-Za-z_]\w* ?\((?! ?t ?[+)]) ?[A-Za-z_][ \w,]*\)) ?=([^=].*)": "let",
 }  # fmt: skip
 """Lines that define something"""
+
+
+LONGEST = 20_000
+"""Letters of a line with those that it goes on in"""
 
 
 @dataclass(frozen=True)
@@ -128,7 +136,12 @@ def _logical(path: Path) -> Iterator[tuple[int, str]]:
     begun, first = "", 1
     for number, row in enumerate(rows, start=1):
         first = first if begun else number
-        begun += "" if row.lstrip().startswith('"') else row.partition("#")[0].strip()
+        where, row = f"{path}: line {number}: {shortened(repr(row))}", row.lstrip()
+        if row.lower().startswith("#include"):
+            raise InputError(f"{where}: is not followed; write what is in that file in its place")
+        begun += "" if row.startswith('"') else row.partition("#")[0].strip()
+        if len(begun) > LONGEST:
+            raise InputError(f"{where}: a line of {len(begun)} letters, at most {LONGEST} are read; write several")
         if begun.endswith("\\") and number < len(rows):
             begun = begun[:-1]
         elif begun.lower() in ("d", "done"):
@@ -142,6 +155,11 @@ def _entries(path: Path) -> Iterator[_Entry]:
     """What the lines define, in their order. Raises `InputError` for a line that is not understood."""
     for number, line in _logical(path):
         where, defined = f"{path}: line {number}: {shortened(repr(line))}", _defined(line)
+        if re.match(r"export\b(?! ?[=(/'])", line, re.IGNORECASE):
+            raise InputError(f"{where}: another program gives these their values; write them as equations, name=...")
+        if line.startswith("@") and (method := re.search(r"\bmeth\w* ?= ?([dv]\w*)", line, re.IGNORECASE)):
+            raise InputError(f"{where}: {method[1]} makes a map or an integral equation of these lines; only "
+                             "differential equations are read")  # fmt: skip
         if defined is None:
             raise InputError(f"{where}: is not understood; read are par a=1, number a=1, init x=1, x(0)=1, x'=, "
                              "dx/dt=, f(x)=, a=, !a=, aux and @; write it by these, or leave it out")  # fmt: skip
@@ -164,8 +182,67 @@ def _defined(line: str) -> list[tuple[str, str, str]] | None:
 
 
 def _translated(entry: _Entry, spelled: Mapping[str, str]) -> str:
-    """A right-hand side as our expressions are written."""
+    """A right-hand side as our expressions are written. Raises `InputError`."""
     known = {"not": "not_", **spelled, **{word.lower(): word for word in WORD.findall(entry.name)[1:]}}
     text = re.sub(r"\) ?(?:then|else) ?\(", ", ", entry.text, flags=re.IGNORECASE)
-    text = WORD.sub(lambda match: known.get(match[0].lower(), match[0].lower()), text)
-    return re.sub(r"\|\|?", " or ", re.sub("&&?", " and ", text))
+    try:
+        text = _bracketed(text)
+    except (ValueError, RecursionError) as error:
+        why = "nested too deeply" if isinstance(error, RecursionError) else error
+        raise InputError(f"{entry.where}: {shortened(repr(entry.text))} is no expression ({why}); write it by numbers, "
+                         "names, + - * / ^, comparisons, &, |, brackets and functions") from error  # fmt: skip
+    return WORD.sub(lambda match: known.get(match[0].lower(), match[0].lower()), text)
+
+
+def _bracketed(text: str) -> str:
+    """An expression with brackets where XPPAUT reads it otherwise: operators from the left, comparisons as tight as
+    powers, `&` as a product and `|` as a sum. Raises `ValueError`. Source: `alg_to_rpn` of its parserslow.c."""
+    tokens, at = list[str](), 0
+    while text[at:].strip():
+        if not (match := TOKEN.match(text, at)):
+            raise ValueError(f"{text[at:].strip()[:1]!r} has no meaning")
+        tokens.append(match[1])
+        at = match.end()
+    tokens = [*reversed(tokens)]
+
+    def listed() -> str:
+        """What stands in brackets, with them."""
+        inside = [part(0)]
+        while tokens and tokens[-1] == ",":
+            tokens.pop()
+            inside.append(part(0))
+        if not tokens or tokens.pop() != ")":
+            raise ValueError("a bracket is not closed")
+        return f"({','.join(inside)})"
+
+    def part(least: int) -> str:
+        """Up to the next operator that does not bind more tightly."""
+        token = tokens.pop() if tokens else ""
+        left, power = token, False
+        if token in ("-", "+"):
+            left += part(6)
+        elif token.lower() == "not":
+            left = f"not({part(6)})"
+        elif token == "(":
+            left = listed()
+        elif not re.match(r"[\w.]", token):
+            raise ValueError(f"{token!r} where a number or a name belongs" if token else "it ends too early")
+        elif tokens and tokens[-1] == "(" and token[:1].isidentifier():
+            tokens.pop()
+            left += listed()
+        while tokens and PRIORITIES.get(tokens[-1], 0) > least:
+            sign = tokens.pop()
+            right = part(PRIORITIES[sign])
+            if sign in ("+", "-", "*", "/"):
+                left, power = f"{left}{sign}{right}", False
+            elif sign in ("^", "**"):
+                left, power = f"({left})^{right}" if power else f"{left}^{right}", True
+            else:
+                word = {"&": " and ", "|": " or "}.get(sign[0], sign)
+                left, power = f"({left}{word}{right})", False
+        return left
+
+    made = part(0)
+    if tokens:
+        raise ValueError(f"{tokens[-1]!r} is not expected there")
+    return made

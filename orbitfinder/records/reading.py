@@ -30,7 +30,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from orbitfinder._runtime import interrupt
-from orbitfinder.errors import InputError, shortened
+from orbitfinder.errors import InputError, LimitError, shortened
 
 LARGEST_FILE = 100_000_000
 """Bytes; a larger file (of a journal: a larger line) is refused before it is read."""
@@ -177,23 +177,36 @@ def arrays(path: Path, names: Sequence[str], remedy: str, endless: Sequence[str]
 
     Their sizes are read before anything is expanded. `InputError`.
     """
-    data, members = file_bytes(path, "npz file"), dict[str, np.ndarray]()
     try:
-        if data.count(b"PK\x01\x02") > 100:
-            raise ValueError("more than 100 arrays")
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            for name in names:
-                members[name] = _array(
-                    archive, name, 4 * LARGEST_FILE - sum(member.nbytes for member in members.values())
-                )
-                if np.isnan(members[name]).any() or not (name in endless or np.isfinite(members[name]).all()):
-                    raise ValueError(f"{name} holds a number that is not finite")
-    except Exception as error:  # zipfile, zlib, struct, tokenize: what they raise has no common base
+        members = npz_members(file_bytes(path, "npz file"), names, 4 * LARGEST_FILE)
+        for name, numbers in members.items():
+            if np.isnan(numbers).any() or not (name in endless or np.isfinite(numbers).all()):
+                raise ValueError(f"{name} holds a number that is not finite")
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"{path}: damaged ({shortened(error, 120)}); {remedy}") from error
     return members
 
 
-def _array(archive: zipfile.ZipFile, name: str, room: int) -> np.ndarray:
+def npz_members(data: bytes, names: Sequence[str], room: int, kinds: str = "fiu") -> dict[str, np.ndarray]:
+    """The arrays of an npz file's bytes by name, all where no `names` are wanted, of NumPy's `kinds`, of no more than
+    `room` bytes together, which is known before anything is expanded. Raises `ValueError`."""
+    members = dict[str, np.ndarray]()
+    try:
+        if data.count(b"PK\x01\x02") > 100:
+            raise ValueError("more than 100 arrays")
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            for name in names or [name.removesuffix(".npy") for name in archive.namelist()]:
+                members[name] = _array(archive, name, room - sum(member.nbytes for member in members.values()), kinds)
+    except LimitError:
+        raise
+    except Exception as error:  # zipfile, zlib, struct, tokenize: what they raise has no common base
+        raise ValueError(str(error)) from error
+    return members
+
+
+def _array(archive: zipfile.ZipFile, name: str, room: int, kinds: str) -> np.ndarray:
     """One member, if it is a plain array of numbers of no more than `room` bytes."""
     info = archive.getinfo(f"{name}.npy")
     if info.file_size > room or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -202,11 +215,11 @@ def _array(archive: zipfile.ZipFile, name: str, room: int) -> np.ndarray:
         version = np.lib.format.read_magic(stream)
         header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
         shape, fortran, dtype = header(stream)
-        if dtype.kind not in "fiu" or math.prod(shape) * dtype.itemsize != info.file_size - stream.tell():
-            raise ValueError(f"{name} is no array of numbers of its size")
+        if dtype.kind not in kinds or math.prod(shape) * dtype.itemsize != info.file_size - stream.tell():
+            raise ValueError(f"{name} is not an array of numbers of its size")
         content = stream.read()
     array = np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
-    return array.astype(float if np.issubdtype(dtype, np.floating) else int)
+    return array.astype({"f": float, "i": int, "u": int}.get(dtype.kind, dtype))
 
 
 def inflated(data: bytes, where: str, remedy: str) -> bytes:

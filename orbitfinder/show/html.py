@@ -6,12 +6,12 @@ Everything is inline: no script, no style sheet, no network. Names and titles ar
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from html import escape
 from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.inert import inert
 from orbitfinder._runtime.notebook import Shown, facts
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.control.optimum import Optima
@@ -164,15 +164,15 @@ def _listed(what: str, noun: str, rows: Sequence[Sequence[str]], head: Sequence[
 
 def table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
     """A table of texts, escaped."""
-    top = "".join(f'<th style="{CELL}">{escape(name)}</th>' for name in head)
-    cells = ("".join(f'<td style="{CELL}">{escape(text)}</td>' for text in row) for row in rows)
+    top = "".join(f'<th style="{CELL}">{inert(name)}</th>' for name in head)
+    cells = ("".join(f'<td style="{CELL}">{inert(text)}</td>' for text in row) for row in rows)
     body = "".join(f"<tr>{row}</tr>" for row in cells)
     return f"<table>{f'<tr>{top}</tr>' if top else ''}{body}</table>"
 
 
 def heading(title: str, below: str = "") -> str:
     """A bold line and a plain one."""
-    return f"<div><b>{escape(title)}</b>{f'<br>{escape(below)}' if below else ''}</div>"
+    return f"<div><b>{inert(title)}</b>{f'<br>{inert(below)}' if below else ''}</div>"
 
 
 def orbit_html(orbit: Orbit) -> str:
@@ -325,7 +325,7 @@ def _members(points: Sequence[FamilyPoint], parameter: str) -> str:
     parts = []
     for point, scene in scenes:
         value = f"{parameter} = {point.value:.6g}" if parameter else f"E = {point.energy:.6g} J"
-        below = f"{escape(value)}, T = {point.period:.5g} s<br>{escape(point.stability)}"
+        below = f"{inert(value)}, T = {point.period:.5g} s<br>{inert(point.stability)}"
         parts.append(f"<div>{mechanism(scene, around)}<br>{below}</div>")
     return "".join(parts)
 

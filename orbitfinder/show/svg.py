@@ -8,10 +8,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 
 import numpy as np
 
+from orbitfinder._runtime.inert import inert
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.families.registry import Look
 from orbitfinder.mechanics.model import Model
@@ -35,7 +35,7 @@ LETTER = 6.2
 def picture(content: str, label: str, width: int = SIZE, height: int = SIZE) -> str:
     """An SVG element with an accessible name; its lines take the colour of the text around it."""
     return (
-        f'<svg role="img" aria-label="{escape(label, quote=True)}" viewBox="0 0 {width} {height}" width="{width}" '
+        f'<svg role="img" aria-label="{inert(label)}" viewBox="0 0 {width} {height}" width="{width}" '
         f'height="{height}" style="max-width:100%;height:auto">{content}</svg>'
     )
 
@@ -143,7 +143,7 @@ def _word(x: float, y: float, said: str, anchor: str = "middle", more: str = "")
     """A text in the size of axes."""
     return (
         f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="11" fill="currentColor"{more}>'
-        f"{escape(said)}</text>"
+        f"{inert(said)}</text>"
     )
 
 
@@ -259,7 +259,7 @@ def curves(lines: Sequence[tuple[str, np.ndarray]], across: str, up: str) -> str
         colour = colours[k % len(colours)]
         drawn.append(f'<polyline points="{path(axes.place(points))}" fill="none" stroke="{colour}"/>')
         x, y = WIDTH - AROUND - 4, AROUND + 12 * (k + 1)
-        drawn.append(f'<text x="{x}" y="{y}" text-anchor="end" font-size="11" fill="{colour}">{escape(name)}</text>')
+        drawn.append(f'<text x="{x}" y="{y}" text-anchor="end" font-size="11" fill="{colour}">{inert(name)}</text>')
     return picture("".join(drawn), f"{up} over {across}", WIDTH, HEIGHT)
 
 
@@ -322,10 +322,10 @@ def glyph(look: Look, place: np.ndarray, name: str) -> str:
     colour = "currentColor" if look.colour == "#000000" else look.colour
     open_ = look.hollow or not re.search("[Za]", shape)
     where = f'transform="translate({place[0]:.1f} {place[1]:.1f})" stroke="{colour}" stroke-width="1.5"'
-    return f'<path d="{shape}" {where} fill="{"none" if open_ else colour}"><title>{escape(name)}</title></path>'
+    return f'<path d="{shape}" {where} fill="{"none" if open_ else colour}"><title>{inert(name)}</title></path>'
 
 
 def key(looks: Mapping[str, Look]) -> str:
     """What marks are called, beside each."""
     drawn = {name: picture(glyph(look, np.full(2, 7.0), name), name, 14, 14) for name, look in looks.items()}
-    return " &ensp; ".join(f"{mark} {escape(name)}" for name, mark in drawn.items())
+    return " &ensp; ".join(f"{mark} {inert(name)}" for name, mark in drawn.items())

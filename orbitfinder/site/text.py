@@ -13,6 +13,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from orbitfinder._runtime.inert import inert
 from orbitfinder.mechanics.kind import NAMES, system_kind
 from orbitfinder.records.reading import finite
 from orbitfinder.show.facts import number
@@ -82,7 +83,7 @@ def coordinate(name: str) -> str:
         return f"θ<sub>{angle.group(1)}</sub>" if angle.group(1) else "θ"
     plain = re.fullmatch(r"([A-Za-z]+)(\d+)", name)
     text = f"{plain.group(1)}<sub>{plain.group(2)}</sub>" if plain else name
-    return text if plain else re.sub(r"[<>&]", "", text)
+    return text if plain else inert(text)
 
 
 def symmetry_words(name: str) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from nicegui import ui
 
 from orbitfinder import site
+from orbitfinder._runtime.inert import inert
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
@@ -76,7 +77,7 @@ class Page(Desk):
         files = [f"{self.assets}/site/core.js", f"{self.assets}/studio/stage.js"]
         ui.add_head_html(f'<link rel="stylesheet" href="{self.assets}/studio/studio.css">')
         ui.add_head_html("".join(f'<script defer src="{file}"></script>' for file in files))
-        ui.add_body_html(f'<p class="opening" aria-hidden="true">{_safe(self.session.title)}</p>')  # until it is built
+        ui.add_body_html(f'<p class="opening" aria-hidden="true">{inert(self.session.title)}</p>')  # until it is built
         ui.colors(primary="#005f99", good="#0a6847", bad="#9a3412")
         self.theme = ui.dark_mode()
         client = ui.context.client
@@ -118,7 +119,7 @@ class Page(Desk):
 
     def _head(self) -> None:
         with ui.row().classes("head w-full items-center no-wrap gap-2"):
-            ui.html(f"<h1>{_safe(self.session.title)}</h1>", sanitize=False)
+            ui.html(f"<h1>{inert(self.session.title)}</h1>", sanitize=False)
             self.status = ui.label("").classes("quiet grow").props('role="status" aria-live="polite" id="status"')
             self.busy = ui.spinner(size="1.4em")
             self.cancel = button("Cancel", self.long.stop, "cancel", "outline")
@@ -174,7 +175,7 @@ class Page(Desk):
         with ui.row().classes("w-full items-center no-wrap gap-3"):
             ui.label(name).classes("quiet w-24 shrink-0")
             slider = ui.slider(min=low, max=high, value=value, step=(high - low) / 1000)
-            slider.props(f'aria-label="{_safe(name)}"').classes("grow")
+            slider.props(f'aria-label="{inert(name)}"').classes("grow")
             shown = ui.label().classes("number w-20 shrink-0 text-right").props("aria-hidden=true")
             shown.bind_text_from(slider, "value", lambda x: f"{x:.5g}")
         moved = self.safe(lambda event: then(plots.finite(event.args)))
@@ -649,11 +650,6 @@ class Page(Desk):
 
 def _title(text: str) -> None:
     ui.html(f"<h2>{text}</h2>", sanitize=False)
-
-
-def _safe(text: str) -> str:
-    """Text without what HTML and attributes read as their own."""
-    return "".join(letter for letter in text if letter not in "<>&\"'")
 
 
 def _js(value: Any) -> str:
