@@ -60,6 +60,10 @@ class LimitError(OrbitfinderError):
     """A time limit was reached; the message says which and how far the work had come."""
 
 
+FAILURES = InputError, IntegrationError, ConvergenceError
+"""What a computation may end with, but for its time limit"""
+
+
 def shortened(value: object, limit: int = 60) -> str:
     """The text of a value in a message, cut where it is longer than `limit`."""
     text = str(value)

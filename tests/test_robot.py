@@ -254,7 +254,7 @@ def test_links_look_as_their_files_say(tmp_path):
     assert kinds.count("solid") == 5 and kinds.count("bone") == 4 and kinds.count("rod") == 1
     for broken in (b"", b"solid\nvertex 1 2\n", b"vertex 1 2 x"):
         file.with_name("lost.stl").write_bytes(broken)
-        with pytest.warns(Hint, match=r"of link 'l4' lost.stl: is no STL file that can be read"):
+        with pytest.warns(Hint, match=r"of link 'l4' lost.stl: cannot be read as STL"):
             of.robot(file, locked=["j0", "j1", "j2", "j3"])
 
 

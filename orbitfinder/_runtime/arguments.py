@@ -18,7 +18,7 @@ from typing import Any, Generic, ParamSpec, TypeVar
 
 import numpy as np
 
-from orbitfinder.errors import InputError, closest
+from orbitfinder.errors import InputError, LimitError, closest
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -39,6 +39,8 @@ def _numbers(value: Any) -> bool:
     """Something that NumPy makes floats of, texts and None excepted."""
     try:
         return np.asarray(value).dtype.kind in "fiub"
+    except LimitError:
+        raise
     except Exception:  # whatever an object's own conversion raises: CasADi's symbols have four kinds
         return False
 

@@ -16,7 +16,7 @@ from orbitfinder.atlas.attempt import Job, attempts
 from orbitfinder.atlas.search import FIRST
 from orbitfinder.atlas.signature import Signature, same_orbit, signature_of
 from orbitfinder.atlas.starts import Target, context_of
-from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
+from orbitfinder.errors import FAILURES, ConvergenceError, InputError
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.problem import Guess, Problem, without_choice
 from orbitfinder.orbits.find import find_orbit
@@ -139,7 +139,7 @@ def _own(problem: Problem, known: list[Candidate]) -> None:
     """Add the orbit that the guess itself leads to, when there is one and its period fits."""
     try:
         orbit = find_orbit(replace(without_choice(problem), pin=problem.pin))
-    except OrbitfinderError:
+    except FAILURES:
         return
     low, high = problem.bounds["period"]
     if low <= orbit.period <= high and orbit.certificate is not None and orbit.certificate.passed:

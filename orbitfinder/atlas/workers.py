@@ -285,6 +285,8 @@ class Futures(Workers):
             for job in jobs:  # whichever it was, it costs itself alone
                 self.submit([job])
             return []
+        except LimitError:
+            raise
         except Exception as error:  # whatever a worker can raise
             raise self.fault(error) from error
 

@@ -22,6 +22,7 @@ import orbitfinder as of
 from orbitfinder._runtime import __version__
 from orbitfinder._runtime.quiet import captured
 from orbitfinder.cli.options import finish, json_option, text
+from orbitfinder.errors import LimitError
 
 WIDTH, INDENT = 80, 31
 """Columns of the report, and where details begin"""
@@ -77,6 +78,8 @@ def _asked(name: str, ask: Callable[[], tuple[object, str]], trouble: str, remed
     """What an essential part answers, or that it cannot be asked: a broken wheel raises whatever its loader makes."""
     try:
         fine, detail = ask()
+    except LimitError:
+        raise
     except Exception as error:
         fine, detail = False, f"{trouble}{type(error).__name__}: {error}"
     return finding(name, fine, detail, remedy, BROKEN)
@@ -107,6 +110,8 @@ def _main_job() -> Finding:
         fine = error < 1e-11 and of.certify(orbit).passed
         detail = f"pendulum at 1 rad certified, period off the elliptic integral by {error:.0e}"
         return finding("main job", fine, detail, "please report this with the output", BROKEN)
+    except LimitError:
+        raise
     except Exception as error:
         return Finding("main job", BROKEN, f"{type(error).__name__}: {error}", "see the findings above")
 
@@ -139,7 +144,7 @@ def _cache() -> Finding:
     except OSError as error:
         remedy = "set ORBITFINDER_CACHE to a folder that you, and nobody else, can write to"
         return Finding("cache", NOTE, f"not used, nothing is compiled: {error}", remedy)
-    entries = list(place.glob("*.so"))
+    entries = [entry for entry in place.glob("*.so") if not entry.name.startswith("making-")]
     size = sum(entry.stat().st_size for entry in entries)
     return Finding("cache", OK, f"{_short(place)}: {len(entries)} compiled functions, {size / 1e6:.1f} MB")
 
@@ -190,6 +195,8 @@ def defects() -> Iterator[Finding]:
         from orbitfinder.cli.casadi_bugs import TRIALS
 
         yield from [_defect(*trial) for trial in TRIALS]
+    except LimitError:
+        raise
     except Exception as error:
         yield Finding("casadi defects", NOTE, f"not tried: {type(error).__name__}: {error}")
 

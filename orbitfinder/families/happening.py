@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.errors import OrbitfinderError
+from orbitfinder.errors import FAILURES
 from orbitfinder.families.branches import LEAVING, left_at
 from orbitfinder.families.curves import curves_through
 from orbitfinder.families.entries import kind_of
@@ -85,7 +85,7 @@ def _curve(record: Family | Equilibria, k: int) -> list[str]:
     try:
         model = build_model(record.system)
         names = [*model.parameter_names, *(("energy", "period") if model.conservative else ())]
-    except OrbitfinderError:
+    except FAILURES:
         names = [name for name, value in given.items() if isinstance(value, (int, float))]
     others = [name for name in names if name not in (*record.parameters, "energy", "period")]
     return [f"--curve {k} --parameters {own},{others[0]}"] if own in names and others else []

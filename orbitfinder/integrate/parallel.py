@@ -15,9 +15,12 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime import PROCESSORS
+from orbitfinder.errors import InputError, shortened
 from orbitfinder.integrate.evaluate import Buffered
 
-LANES = max(1, min(4, int(os.environ.get(PROCESSORS, os.cpu_count() or 1))))
+if not (asked := os.environ.get(PROCESSORS, "").strip() or str(os.cpu_count() or 1)).isdecimal():
+    raise InputError(f"{PROCESSORS}: must be a whole number, got {shortened(repr(asked))}; set one, or unset it")
+LANES = max(1, min(4, int(asked[:9])))
 CHUNK = 64
 """Columns that are evaluated in one call where they do not depend on each other"""
 WORTH = 8000.0

@@ -23,7 +23,7 @@ import numpy as np
 from orbitfinder._runtime.arguments import Registry, check
 from orbitfinder._runtime.caches import Kept
 from orbitfinder._runtime.rooms import filled
-from orbitfinder.errors import InputError, closest
+from orbitfinder.errors import InputError, LimitError, closest
 from orbitfinder.mechanics.constrained import Loops
 from orbitfinder.mechanics.controls import check_constant, with_controls
 from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
@@ -141,7 +141,7 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
     try:
         with neighbours(trusted):
             model = with_parameters(function().model, arguments) if name == PROBLEM else function(**arguments)
-    except InputError:
+    except (InputError, LimitError):
         raise
     except TypeError as error:
         raise InputError(f"system.arguments: {error}; compare with help({module}.{name})") from error
@@ -246,6 +246,8 @@ def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]
                 spec.loader.exec_module(imported)
         else:
             imported = importlib.import_module(module)
+    except LimitError:
+        raise
     except Exception as error:
         raise InputError(
             f"system.module: {module!r} cannot be imported ({type(error).__name__}: {error}); "

@@ -9,6 +9,7 @@ extra [robot].
 from __future__ import annotations
 
 import codecs
+import contextlib
 import hashlib
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from orbitfinder._runtime.processes import alone
 from orbitfinder._runtime.quiet import captured
-from orbitfinder.errors import Hint, InputError, closest, plural
+from orbitfinder.errors import Hint, InputError, LimitError, closest, plural
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms import shapes
 from orbitfinder.mechanisms.mechanism import GROUND, JOINTS, mechanism
@@ -230,6 +231,8 @@ def _urdf(path: Path, data: bytes) -> _Read:
         with captured():
             robot_model = URDF.from_xml_string(data)
             root = robot_model.get_root()
+    except LimitError:
+        raise
     except Exception as error:
         said = " ".join(str(error).split())
         raise InputError(f"file: {path.name} is no URDF that can be read ({type(error).__name__}: {said})") from error
@@ -293,15 +296,52 @@ def _seen(folder: Path, visual: Any) -> shapes.Solid:
     return corners, faces
 
 
+def _tree(folder: Path) -> Path:
+    """The robot's own folder: of its ROS package (package.xml), else that above the file's, as in urdf/ and meshes/."""
+    above = [folder.resolve(), *folder.resolve().parents]
+    return next((base for base in above if (base / "package.xml").is_file()), folder.resolve().parent)
+
+
 def _beside(folder: Path, name: str) -> Path:
     """Where a mesh lies: beside the file, or for package://PACKAGE/PATH in a folder above it. Raises `InputError`."""
     scheme, _, rest = name.rpartition("://")
-    above = [folder.resolve(), *folder.resolve().parents] if scheme == "package" else [folder]
-    for base in above:
-        for within in (rest, rest.partition("/")[2]) if scheme == "package" else (rest,):
-            if within and (base / within).is_file():
-                return base / within
-    raise InputError(f"the mesh {name} is not there; put it beside the file as it says")
+    package, _, within = rest.partition("/")
+    tree, outside = _tree(folder), False
+    for base in [folder.resolve(), *folder.resolve().parents] if scheme == "package" else [folder]:
+        for part in (rest, within) if scheme == "package" else (rest,):
+            if "\0" not in part and part and (base / part).is_file():
+                place, other = (base / part).resolve(), (base / package).resolve()
+                if place.is_relative_to(tree) or (
+                    scheme == "package" and place.is_relative_to(other) and (other / "package.xml").is_file()
+                ):
+                    return place
+                outside = True
+    where = f"lies outside the robot's folder {tree.name}" if outside else "is not there"
+    raise InputError(f"the mesh {name} {where}; put it beside the file as it says")
+
+
+def _check_files(path: Path) -> None:
+    """`InputError` for a file outside the robot's folder that an MJCF file, or what it includes, names."""
+    tree, files, names, folders = _tree(path.parent), [path.resolve()], dict[str, None](), dict[Path, None]()
+    for file in files:
+        folders[file.parent] = None
+
+        def element(_: str, attributes: dict[str, str], beside: Path = file.parent) -> None:
+            folders.update({beside / text: None for key, text in attributes.items() if key.endswith("dir")})
+            names.update({text: None for key, text in attributes.items() if key.startswith("file")})
+
+        parser = expat.ParserCreate()
+        parser.StartElementHandler = element
+        with contextlib.suppress(expat.ExpatError, ValueError, LookupError):  # MuJoCo says what is wrong
+            parser.Parse(file_bytes(file, "MJCF file", LARGEST), True)
+        if len(names) * len(folders) > 10_000:
+            raise InputError(f"file: {path.name} names {len(names)} files in {len(folders)} folders; give fewer")
+        for place in (folder / name for folder in folders for name in names if "\0" not in name):
+            if place.is_file() and not place.resolve().is_relative_to(tree):
+                raise InputError(f"file: {path.name}: {place.name} lies outside the robot's folder {tree.name}; put it "
+                                 "inside")  # fmt: skip
+            if place.suffix == ".xml" and place.is_file() and place.resolve() not in files:
+                files.append(place.resolve())
 
 
 def _placed(origin: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -325,6 +365,8 @@ def compiled(file: str) -> dict[str, Any]:
 
     try:
         model = mujoco.MjModel.from_xml_path(file)
+    except LimitError:
+        raise
     except Exception as error:
         return {"refused": " ".join(str(error).split())}
     read = ("qpos", "body_", "jnt_", "dof_", "eq_", "tendon_")
@@ -374,6 +416,7 @@ def _mjcf(path: Path, data: bytes) -> _Read:
         raise InputError("file: MJCF files need the extra: pip install 'orbitfinder[robot]'")
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         raise InputError(f"file: {path.name} is UTF-16, which MuJoCo does not read; save it as UTF-8")
+    _check_files(path)
     lists = alone(__name__, "compiled", str(path.resolve()), SECONDS, MEMORY)
     if lists is None:
         raise InputError(

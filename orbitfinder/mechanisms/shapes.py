@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import base64
 import re
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,14 +17,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, shortened
 from orbitfinder.records.reading import file_bytes
 
 Solid = tuple[np.ndarray, np.ndarray]
 MOST, LEAST, SIDES = 4000, 60, 20
 """Triangles of a robot at most, of a body of many at least; sides of what is round"""
-LARGEST = 100_000_000
-"""Bytes of a file"""
+LARGEST, MOST_ELEMENTS = 100_000_000, 2_000_000
+"""Bytes of a file; elements of a Collada file, and of what its scene has"""
 
 
 def turned(heights: np.ndarray, radii: np.ndarray) -> Solid:
@@ -84,13 +86,20 @@ def read(path: Path) -> Solid:
     readers = {".stl": _stl, ".obj": _obj, ".dae": _collada}
     if (reader := readers.get(path.suffix.lower())) is None:
         raise InputError(f"{path.name}: meshes are read from {', '.join(readers)}; convert it")
+    data = file_bytes(path, "mesh", LARGEST)
     try:
-        corners, faces = reader(file_bytes(path, "mesh", LARGEST))
-        whole = len(faces) > 0 and faces.min() >= 0 and faces.max() < len(corners) and bool(np.isfinite(corners).all())
-    except (ValueError, IndexError, KeyError, TypeError, AttributeError, RecursionError, ElementTree.ParseError):
-        whole = False
-    if not whole:
-        raise InputError(f"{path.name}: is no {path.suffix[1:].upper()} file that can be read; export it again")
+        with np.errstate(all="ignore"):
+            corners, faces = reader(data)
+        if not len(faces) or faces.min() < 0 or faces.max() >= len(corners):
+            at = f", one of them at corner {faces.max() + 1}" if len(faces) else ""
+            raise ValueError(f"{len(corners)} corners and {len(faces)} triangles{at}")
+        if not (np.abs(corners) < 1e100).all():
+            raise ValueError("a corner is not a finite number below 1e+100")
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, ElementTree.ParseError,
+            ) as error:  # fmt: skip
+        why = f"no {error} in it" if isinstance(error, KeyError) else shortened(error, 120)
+        kind = path.suffix[1:].upper()
+        raise InputError(f"{path.name}: cannot be read as {kind} ({why}); export it again") from error
     return merged(corners, faces)
 
 
@@ -100,45 +109,51 @@ def _stl(data: bytes) -> Solid:
         layout = np.dtype([("normal", "<f4", 3), ("at", "<f4", (3, 3)), ("more", "<u2")])
         corners = np.frombuffer(data, layout, count, 84)["at"].reshape(-1, 3).astype(float)
     else:
-        numbers = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", data)
-        corners = np.array(numbers).astype(float).reshape(-1, 3)
+        found = re.finditer(rb"vertex\s++(\S++)\s++(\S++)\s++(\S++)", data)
+        corners = np.fromiter((float(number) for match in found for number in match.groups()), float).reshape(-1, 3)
     return corners, np.arange(len(corners)).reshape(-1, 3)
 
 
 def _obj(data: bytes) -> Solid:
-    corners, faces = list[list[float]](), list[tuple[int, int, int]]()
-    for line in data.decode("utf-8", "replace").splitlines():
-        what, *words = line.split() or [""]
-        if what == "v":
-            corners.append([float(word) for word in words[:3]])
-        elif what == "f":
-            at = [int(word.partition("/")[0]) for word in words]
-            faces += _fan([k - 1 if k > 0 else k + len(corners) for k in at])
-    return np.array(corners, float).reshape(-1, 3), np.array(faces, int).reshape(-1, 3)
+    corners, faces = array("d"), array("q")
+    for line in BytesIO(data):
+        what, *words = line.split() or [b""]
+        if what == b"v":
+            corners.extend(float(word) for word in words[:3])
+        elif what == b"f":
+            at = [int(word.partition(b"/")[0]) for word in words]
+            faces.extend(_fan([k - 1 if k > 0 else k + len(corners) // 3 for k in at]))
+    return np.array(corners).reshape(-1, 3), np.array(faces).reshape(-1, 3)
 
 
-def _fan(at: Sequence[int]) -> list[tuple[int, int, int]]:
-    """The triangles of a polygon."""
-    return [(at[0], at[k], at[k + 1]) for k in range(1, len(at) - 1)]
+def _fan(at: Sequence[int]) -> Iterator[int]:
+    """The triangles of a polygon, corner after corner."""
+    return (corner for k in range(1, len(at) - 1) for corner in (at[0], at[k], at[k + 1]))
 
 
 def _collada(data: bytes) -> Solid:
     """The geometries of a Collada file where its scene has them, in m, with z up."""
+    if data.count(b"<") > MOST_ELEMENTS:
+        raise ValueError(f"more than {MOST_ELEMENTS} elements")
     root = ElementTree.fromstring(data)
     for node in root.iter():
         node.tag = node.tag.rpartition("}")[2]
     known = {node.get("id"): node for node in root.iter() if node.get("id")}
-    solids = list[Solid]()
+    solids, spent = list[Solid](), 0
 
     def walk(node: ElementTree.Element, before: np.ndarray) -> None:
-        here = before
+        nonlocal spent
+        here, spent = before, spent + 1
         for part in node:
             here = here @ _moved(part)
         for part in node:
             if part.tag == "instance_geometry":
                 for corners, faces in _geometry(known[part.attrib["url"][1:]], known):
                     solids.append((corners @ here[:3, :3].T + here[:3, 3], faces))
-            elif part.tag in ("node", "instance_node"):
+                    spent += len(corners) + len(faces)
+            if spent > MOST_ELEMENTS:
+                raise ValueError(f"its instances stand for more than {MOST_ELEMENTS} nodes, corners and triangles")
+            if part.tag in ("node", "instance_node"):
                 walk(part if part.tag == "node" else known[part.attrib["url"][1:]], here)
 
     meter, up = root.find("asset/unit"), root.findtext("asset/up_axis", "Y_UP").strip()
@@ -151,8 +166,9 @@ def _collada(data: bytes) -> Solid:
     return joined(solids)
 
 
-def _numbers(node: ElementTree.Element | None) -> np.ndarray:
-    return np.array((node.text or "").split() if node is not None else [], float)
+def _numbers(node: ElementTree.Element | None, kind: type = float) -> np.ndarray:
+    text = (node.text or "") if node is not None else ""
+    return np.fromiter((kind(word[0]) for word in re.finditer(r"\S++", text)), kind)
 
 
 def _moved(node: ElementTree.Element) -> np.ndarray:
@@ -175,20 +191,21 @@ def _geometry(node: ElementTree.Element, known: Mapping[str | None, ElementTree.
     for part in node.iterfind("mesh/*"):
         if part.tag not in ("triangles", "polylist", "polygons"):
             continue
-        inputs = part.findall("input")
-        stride = 1 + max(int(entry.get("offset", "0")) for entry in inputs)
-        chosen = next(entry for entry in inputs if entry.get("semantic") == "VERTEX")
-        vertices = known[chosen.attrib["source"][1:]].findall("input")
-        place = next(entry.attrib["source"] for entry in vertices if entry.get("semantic") == "POSITION")
+        inputs = {entry.get("semantic"): entry for entry in part.iterfind("input")}
+        stride = 1 + max(int(entry.get("offset", "0")) for entry in part.iterfind("input"))
+        chosen = inputs["VERTEX"]
+        vertices = known[chosen.attrib["source"][1:]].iterfind("input")
+        place = {entry.get("semantic"): entry.attrib["source"] for entry in vertices}["POSITION"]
         corners = _numbers(known[place[1:]].find("float_array")).reshape(-1, 3)
         offset = int(chosen.get("offset", "0"))
-        lists = [_numbers(indices).astype(int)[offset::stride] for indices in part.findall("p")]
+        lists = [_numbers(indices, int)[offset::stride] for indices in part.findall("p")]
         if part.tag != "polygons" and lists:
             (all_of_them,) = lists
-            counts = _numbers(part.find("vcount")).astype(int)
+            counts = _numbers(part.find("vcount"), int)
             counts = counts if counts.size else np.full(len(all_of_them) // 3, 3)
             lists = np.split(all_of_them, np.cumsum(counts)[:-1])
-        yield corners, np.array([face for polygon in lists for face in _fan(polygon.tolist())], int).reshape(-1, 3)
+        corner_numbers = (corner for polygon in lists for corner in _fan(polygon.tolist()))
+        yield corners, np.fromiter(corner_numbers, int).reshape(-1, 3)
 
 
 def reduced(solid: Solid, most: int) -> Solid:

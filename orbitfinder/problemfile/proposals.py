@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.errors import FAILURES, InputError
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.loops.problem import Guess
 from orbitfinder.mechanics.kind import loops_of
@@ -78,7 +78,7 @@ def propose(loaded: ProblemFile, duration: float | None = None, count: int = 8, 
     for kind, make in kinds.items():
         try:
             guesses += make()
-        except OrbitfinderError as error:
+        except FAILURES as error:
             notes.append(f"{kind}: {error}")
     return Proposals(loaded.name, loaded.model.state_names, tuple(guesses), tuple(notes), loaded.model.system)
 

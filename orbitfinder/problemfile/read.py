@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.errors import InputError, plural
+from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.control import Control, Task
 from orbitfinder.loops.problem import Guess, Problem
@@ -271,6 +271,8 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
             made = runpy.run_path(str(source))[PROBLEM]()
     except KeyError as error:
         raise InputError(f"{source}: problem: missing ({error}); define a function problem() in it") from error
+    except LimitError:
+        raise
     except Exception as error:
         raise InputError(f"{source}: problem() failed with {type(error).__name__}: {error}; fix the file") from error
     if not isinstance(made, Problem):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import OrbitfinderError
+from orbitfinder.errors import FAILURES
 from orbitfinder.families.entries import LOOKS, kind_of
 from orbitfinder.families.equilibrium import RestEvent
 from orbitfinder.families.members import response
@@ -102,7 +102,7 @@ def diagram_of(family: Family) -> Diagram:
         return Diagram(family, family.parameters[:2], family.places)  # type: ignore[arg-type]
     try:
         moved, sizes = response(family, build_model(family.system))
-    except OrbitfinderError:
+    except FAILURES:
         moved, sizes = "", np.zeros(0)
     by_energy = family.by_energy and not moved
     levels = np.nan_to_num([member.energy for member in family.members])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.errors import OrbitfinderError, plural
+from orbitfinder.errors import FAILURES, plural
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.certificate import Certificate
@@ -53,7 +53,7 @@ def conserves(atlas: Atlas) -> bool:
     """Whether an energy is conserved, True where nothing is known of the system."""
     try:
         return atlas.model.conservative and not atlas.controlled
-    except OrbitfinderError:
+    except FAILURES:
         return True
 
 

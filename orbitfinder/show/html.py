@@ -15,7 +15,7 @@ from orbitfinder._runtime.inert import inert
 from orbitfinder._runtime.notebook import Shown, facts
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.control.optimum import Optima
-from orbitfinder.errors import OrbitfinderError, plural
+from orbitfinder.errors import FAILURES, plural
 from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.families.members import STEADY
 from orbitfinder.integrate.cvodes import build_flow, sample
@@ -66,7 +66,7 @@ def html(value: Any) -> str | None:
         return worded(
             maker(value), getattr(value, "system", None) or getattr(getattr(value, "model", None), "system", {})
         )
-    except OrbitfinderError:
+    except FAILURES:
         return None
 
 
@@ -220,7 +220,7 @@ def period_of(orbit: Orbit, model: Model | None = None) -> tuple[Model, Course] 
     try:
         model = model or build_model(orbit.system)
         return model, course(model, *_period(orbit, model), orbit.winding)
-    except OrbitfinderError:
+    except FAILURES:
         return None
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.errors import FAILURES, InputError
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, counted
@@ -38,7 +38,7 @@ def names_of(equilibria: Equilibria, model_of: Callable[[Mapping[str, Any]], Mod
     """What the components of their states are called; numbered where no file describes the system."""
     try:
         model = model_of(equilibria.system)
-    except OrbitfinderError:
+    except FAILURES:
         return [f"x{k + 1}" for k in range(equilibria.points[0].state.size)]
     if (size := equilibria.points[0].state.size) != len(model.state_names):
         raise InputError(f"{equilibria.name}: state: {size} numbers for {counted(model)}; compute the equilibria again")

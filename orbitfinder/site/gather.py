@@ -12,7 +12,7 @@ import numpy as np
 
 from orbitfinder._runtime import __version__
 from orbitfinder.atlas.store import Atlas, Filter
-from orbitfinder.errors import InputError, OrbitfinderError, plural
+from orbitfinder.errors import FAILURES, InputError, plural
 from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria
 from orbitfinder.families.members import whole
 from orbitfinder.families.plane import ParameterMap
@@ -250,13 +250,13 @@ def judged(orbit: Orbit, model_of: Callable[[Mapping[str, Any]], Model] = build_
     """The certificate of an orbit, recomputed as `orbitfinder verify` does."""
     try:
         model = model_of(orbit.system)
-    except OrbitfinderError as error:
+    except FAILURES as error:
         return recorded(orbit, str(error))
     if (orbit.state.shape, len(orbit.winding)) != ((len(model.state_names),), model.degrees_of_freedom):
         return Verdict((refused("record", "state or winding does not belong to the system", 0.0),))
     try:
         return Verdict(certify(orbit, model).checks)
-    except OrbitfinderError as error:
+    except FAILURES as error:
         return Verdict((refused("record", error, 0.0),))
 
 

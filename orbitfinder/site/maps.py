@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import OrbitfinderError
+from orbitfinder.errors import FAILURES
 from orbitfinder.families.plane import BLANK, ParameterMap
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.floquet import STABILITIES
@@ -21,7 +21,7 @@ def map_picture(plane: ParameterMap, gathered: Gathered) -> bytes:
     """The figure of `orbitfinder plot` as PNG, the same bytes for the same map."""
     try:
         model: Model | None = gathered.model(plane.system)
-    except OrbitfinderError:
+    except FAILURES:
         model = None
     figure, buffer = map_figure(plane, model), io.BytesIO()
     figure.savefig(buffer, dpi=120, format="png", metadata={"Software": None})

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.sizes import size_of
-from orbitfinder.errors import IntegrationError, OrbitfinderError
+from orbitfinder.errors import FAILURES, IntegrationError
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import NONE, named, symmetries_of
 from orbitfinder.mechanics.kind import build_model, with_parameters
@@ -132,7 +132,7 @@ class Simulator:
                 names = [name for name in free if name in model.parameter_names]
                 self._known[key] = model, vector_field(model, names)
                 self.solids |= solids_of(system)
-            except OrbitfinderError:
+            except FAILURES:
                 self._known[key] = None
         return self._known[key]
 
@@ -277,7 +277,7 @@ def _jumping(
     """The motion of a hybrid orbit from its samples or its state, by pieces; None where it goes another way."""
     try:
         path = course(model, *(dense or sampled(model, state, period)))
-    except OrbitfinderError:
+    except FAILURES:
         return None
     moments = equal_times(path.period, 240)  # between the events among them the page interpolates
     return _filmed(model, path, positions_at(model, path, moments), ground=_standing(path, moments),

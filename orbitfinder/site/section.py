@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import InputError, OrbitfinderError, plural
+from orbitfinder.errors import FAILURES, InputError, plural
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lasting, units
 from orbitfinder.show.facts import number
@@ -55,7 +55,7 @@ def section_data(section: Section, gathered: Gathered) -> dict[str, Any]:
     """What the script of a section page works with: `items` to pick (motions and orbits), `curves` beside them."""
     try:
         model: Model | None = gathered.model(section.system)
-    except OrbitfinderError:
+    except FAILURES:
         model = None
     items, curves = _motions(section, model), list[dict[str, Any]]()
     if model is not None:
