@@ -242,6 +242,10 @@ def orbit_and_model(
     try:
         record = read(file)
         model: Any = model_of(record, file, trust) if hasattr(record, "system") else None  # it may be of no system
+        names = tuple(getattr(record, "state_names", ()))
+        if model is not None and names and names != model.state_names:
+            raise InputError(f"state_names: {', '.join(names)} are not those of its system, "
+                             f"{', '.join(model.state_names)}; the file was edited, make it again")  # fmt: skip
         if isinstance(record, Equilibria):
             check_state(model, record.points[0].state)
         if isinstance(record, Orbit):

@@ -154,6 +154,10 @@ def symmetry_option(what: str) -> Decorator:
     return option("symmetry", what, callback=_symmetry, metavar=known)
 
 
+SPREAD = ("shard", "scheduler", "workers")
+"""Options of proofs of many orbits"""
+
+
 @click.command()
 @orbit_files
 @symmetry_option("Prove in this symmetry; default: the recorded one. none: unique among all near.")
@@ -191,16 +195,17 @@ def prove(
       orbitfinder prove families/triple-1/family.json --event 9
       orbitfinder prove connections/oterma-l2/connection-1.json
     """
+    spread = {"shard": shard, "scheduler": scheduler, "workers": None if workers == 1 else workers}
     resting = [file for file in files if file.is_file() and kind_of(file) == "equilibria"]
     if resting:
-        _prove_rest(files, resting, record, trust, given | {"from": low, "to": high, "shard": shard})
+        _prove_rest(files, resting, record, trust, given | spread | {"from": low, "to": high, "event": number})
         return
     if low is not None or high is not None:
-        _prove_branch(files, low, high, record, trust, given)
+        _prove_branch(files, low, high, record, trust, given | spread)
         return
     joined = [file for file in files if file.is_file() and kind_of(file) == "connection"]
     if joined:
-        _prove_connections(files, joined, record, trust, given | {"event": number, "shard": shard})
+        _prove_connections(files, joined, record, trust, given | spread | {"event": number})
         return
     from orbitfinder.atlas.shard import WHOLE, shard_from
     from orbitfinder.proof.record import checked
@@ -209,6 +214,8 @@ def prove(
     usually = {} if number is None else {"order": 24, "tolerance": 1e-19}
     options, results = checked(Options(**usually | {k: v for k, v in given.items() if v is not None})), []
     if number is not None:
+        if unused := [name for name in SPREAD if spread[name] is not None]:
+            raise InputError(f"--{unused[0]}: is for orbits; a single event is proved here, leave it out")
         _prove_event(files, number, options, record, trust)
         return
     part = shard_from(shard) or WHOLE
@@ -297,8 +304,7 @@ def _prove_branch(
 
     if low is None or high is None or len(files) != 1:
         raise InputError("--from, --to: give both, and one FAMILY.json")
-    unused = [name for name in ("segments", "order", "bits", "tolerance") if given.get(name) is not None]
-    if unused:
+    if unused := [name for name in (*SPREAD, "segments", "order", "bits", "tolerance") if given.get(name) is not None]:
         raise InputError(f"--{unused[0]}: is for single orbits; a branch chooses its own, leave it out")
     file = files[0]
     family = load_family(file)
@@ -362,7 +368,7 @@ def _prove_connections(
     from orbitfinder.proof.record import checked
     from orbitfinder.proof.theorem import Options, provable_system
 
-    if unused := [name for name in ("symmetry", "segments", "event", "shard") if given.pop(name, None) is not None]:
+    if unused := [name for name in ("symmetry", "segments", "event", *SPREAD) if given.pop(name, None) is not None]:
         raise InputError(f"--{unused[0]}: is for orbits and families; leave it out")
     if len(joined) < len(files):
         raise InputError("FILE: connections and others together; prove them by a command each")

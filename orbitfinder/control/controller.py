@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.records.certificate import Certified, certified
-from orbitfinder.records.codec import Codec, Complexes
+from orbitfinder.records.codec import Codec, Complexes, check_shapes
 
 
 @dataclass(frozen=True)
@@ -127,12 +127,15 @@ class Controller(Shown):
     def _check(self) -> None:
         rows, d = self.states.shape if self.states.ndim == 2 else (0, 0)
         m = len(self.actuators)
-        wanted = {"states": (rows, d), "inputs": (rows, m), "gains": (rows, m * d), "units": (d,), "angles": (d,),
-                  "control_units": (m,), "weight_state": (d, d), "weight_control": (m, m)}  # fmt: skip
-        for name, shape in wanted.items():
-            given = getattr(self, name).shape
-            if rows < 4 or not m or given != shape:
-                raise ValueError(f"{name}: shape {given} where {shape} belongs to {m} controls and {d} states")
+        if rows < 4 or not m or not self.multipliers.size:
+            raise ValueError(f"states, actuators, multipliers: expected 4, 1 and 1 at least, got {rows}, {m} and "
+                             f"{self.multipliers.size}")  # fmt: skip
+        if wrong := [name for name in self.actuators if not name.isidentifier()] or [self.event] * (
+            not self.event.isprintable()
+        ):
+            raise ValueError(f"actuators, event: {wrong[0]!a} is not a name")
+        check_shapes(self, states=(rows, d), inputs=(rows, m), gains=(rows, m * d), units=(d,), angles=(d,),
+                     control_units=(m,), weight_state=(d, d), weight_control=(m, m))  # fmt: skip
         if not (self.period > 0 and np.all(self.units > 0)):
             raise ValueError("period and units: must be positive")
         if unknown := sorted(set(self.limits) - set(self.actuators)):

@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.records.codec import Codec, Complexes, Unknown
-from orbitfinder.records.family import End, Reading
+from orbitfinder.records.family import End, Reading, check_curve
 from orbitfinder.records.table import Tabled
 
 
@@ -174,6 +174,16 @@ class Equilibria(Tabled):
     def _check(self) -> None:
         if len({(point.state.shape, point.eigenvalues.shape) for point in self.points}) != 1:
             raise ValueError("points: expected one at least, all of one number of components and eigenvalues")
+        check_curve(self.curve)
+        shape, size = self.points[0].state.shape, 2 * ("parameters" in self.curve)
+        for kind, members in (("points", self.points), ("events", self.events)):
+            for k, member in enumerate(members):
+                if member.state.shape != shape or np.size(member.values) != size:
+                    raise ValueError(f"{kind}[{k}]: state or values: {member.state.size} and {np.size(member.values)} "
+                                     f"numbers where {shape[0]} and {size} belong")  # fmt: skip
+                place = member.parameter if isinstance(member, RestEvent) else member.value
+                if not max(abs(place), np.abs(member.state).max(initial=0.0)) < 1e100:
+                    raise ValueError(f"{kind}[{k}]: {self.parameter} or state is beyond 1e+100")
 
 
 EQUILIBRIA = "equilibria"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,8 @@ from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.certificate import Certificate, at_most, equal
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import CLOSURE
-from orbitfinder.records.journal import Checkpoints, checkpoints, packed, read_lines, unpacked
-from orbitfinder.records.reading import content_digest
+from orbitfinder.records.journal import AGAIN, Checkpoints, checkpoints, packed, read_lines, unpacked
+from orbitfinder.records.reading import content_digest, read_as, typed
 
 LIMIT, STRIP, TOGETHER, SAME, SEED = 3600.0, 16, 256, 1e-6, (-1, 0)
 """Seconds after which a map stops unless told otherwise; rows that are a task; orbits that are verified beside
@@ -149,23 +150,34 @@ Filled = tuple[int, int, str]
 
 def _read(line: Mapping[str, Any]) -> Origin | Filled:
     """What a line of the journal stands for. Raises `ValueError`."""
-    kind = ("curve", "segments", "mesh", "vector") if "curve" in line else ("round", "task", "pixels")
-    return tuple(line[name] for name in kind)  # type: ignore[return-value]
+    fields = {"curve": dict, "segments": int, "mesh": str, "vector": str} if "curve" in line else \
+             {"round": int, "task": int, "pixels": str}  # fmt: skip
+    made = tuple(typed(kind, line.get(name), name) for name, kind in fields.items())
+    sizes = [len(unpacked(text, 1 if "curve" in line else None)) for text in made[2:]]
+    if "curve" in line and not 0 < made[1] <= min(sizes):
+        raise ValueError(f"segments: {made[1]} for {sizes[0]} instants and {sizes[1]} unknowns")
+    return made  # type: ignore[return-value]
 
 
-def _part(file: Path, asked: Mapping[str, Any]) -> tuple[Path, int, list[dict[str, Any]]]:
+def _part(file: Path, asked: Mapping[str, Any]) -> tuple[Path, int, list[Any]]:
     """The journal of some rows of a map: the number of the first, and its lines. Raises `InputError`."""
     (header, *lines), _ = read_lines(file, file.name) or ([{}], True)
-    theirs, (across, up) = header.get("request", {}), asked["map"]
-    rows, own = asked["map"][up], theirs.get("map", {}).get(up, [])
+    known, (across, up) = partial(read_as, where=f"{file}: request", remedy=AGAIN), asked["map"]
+    theirs = known(dict, header.get("request", {}))
+    rows, own = asked["map"][up], known(tuple[Any, ...], known(dict, theirs.get("map", {})).get(up, []))
     first = rows.index(own[0]) if own and own[0] in rows else 0
     wanted = {**asked, "map": {across: asked["map"][across], up: rows[first : first + len(own)]}}
+    for number, line in enumerate(lines, start=2):
+        try:
+            _read(line)
+        except ValueError as error:
+            raise InputError(f"{file}: line {number}: {error}; {AGAIN}") from error
     for what, value in wanted.items():
         if theirs.get(what) != value:
             raise InputError(f"{file}: {what}: of another map than this; give its own, or another folder")
     if not lines:
         raise InputError(f"{file}: nothing is done there yet; run that shard, or delete its folder")
-    here, there = cluster.packed(None).versions, lines[0].get("versions", {})
+    here, there = cluster.packed(None).versions, known(dict, lines[0].get("versions", {}))
     if other := [f"{name} {there.get(name)}, here {here[name]}" for name in here if there.get(name) != here[name]]:
         raise InputError(f"{file}: versions: made with {', '.join(other)}, and its numbers would be others; run that "
                          "shard again with what is here")  # fmt: skip
@@ -210,9 +222,16 @@ class _Filling:
     def take(self, lines: Sequence[Mapping[str, Any]], first: int) -> None:
         """The pixels of another journal, of rows from the `first` on."""
         for line in lines:
-            matrix = unpacked(line["pixels"], self._width)
+            self._fill(_read(line)[2], first)
+
+    def _fill(self, text: str, first: int = 0) -> None:
+        """Pixels that a journal has kept, of rows from the `first` on. Raises `InputError`."""
+        try:
+            matrix = unpacked(text, self._width)
             matrix[:, 0] += first
             self.block.fill(matrix)
+        except ValueError as error:
+            raise InputError(f"{self.journal.path}: pixels: {error}; {AGAIN}") from error
 
     def rounds(
         self, vector: np.ndarray, answers: tasks.Answers, plane: ParameterPlane | str
@@ -223,6 +242,9 @@ class _Filling:
         the edge of.
         """
         curve, (rows, columns) = self.plane.curve, self.block.blank.shape
+        if vector.size != self.plane.place.vector.size or not np.isfinite(vector).all():
+            raise InputError(f"{self.journal.path}: vector: {vector.size} numbers where {self.plane.place.vector.size} "
+                             f"finite ones belong; {AGAIN}")  # fmt: skip
         w = self.plane.place.at(vector)
         own = np.array([parameter_value(curve, w, name) for name in self.plane.parameters])
         column, row = (int(np.abs(axis - value).argmin()) for axis, value in zip(self.plane.axes, own, strict=True))
@@ -239,7 +261,7 @@ class _Filling:
                 )
             self._keep(SEED, self.block.matrix(*whole, before))
         elif SEED in self.known:
-            self.block.fill(unpacked(self.known[SEED], self._width))
+            self._fill(self.known[SEED])
         parts, number = [(slice(0, rows), slice(column, column + 1))], 0
         while parts:
             yield from self._round(number, parts, answers, plane)
@@ -255,7 +277,7 @@ class _Filling:
         fresh = answers(list(requests.values()))
         for k in range(len(parts)):
             if k not in requests:
-                self.block.fill(unpacked(self.known[number, k], self._width))
+                self._fill(self.known[number, k])
         yield self._done()
         for answered, matrix in fresh:
             self.block.fill(matrix)

@@ -20,7 +20,7 @@ from orbitfinder._runtime.cluster import home
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.motion import graded
-from orbitfinder.families.plane import DIVERGED, ELSEWHERE, ENDLESS, RESTING, UNTRIED
+from orbitfinder.families.plane import BLANK, DIVERGED, ELSEWHERE, ENDLESS, RESTING, UNTRIED
 from orbitfinder.families.point import FamilySettings, extents
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import curve_of
@@ -81,7 +81,10 @@ class PixelBlock:
         return np.column_stack([i, j, self.blank[i, j], self.tried[i, j], self.vectors[i, j], self.numbers[i, j]])
 
     def fill(self, matrix: np.ndarray) -> None:
-        """Write such rows back."""
+        """Write such rows back. Raises `ValueError`."""
+        least, most = np.zeros(4), [*np.array(self.blank.shape) - 1, len(BLANK) - 1, 2 ** len(SIDES) - 1]
+        if not np.all((matrix[:, :4] >= least) & (matrix[:, :4] <= most)) or np.isnan(matrix).any():
+            raise ValueError(f"a pixel is not one of {self.blank.shape[0]} x {self.blank.shape[1]}, or not a number")
         (i, j, blank, tried), rest = matrix[:, :4].astype(int).T, matrix[:, 4:]
         self.blank[i, j], self.tried[i, j] = blank, tried
         self.vectors[i, j], self.numbers[i, j] = np.split(rest, [self.vectors.shape[2]], axis=1)

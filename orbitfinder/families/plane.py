@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.orbits.floquet import STABILITIES
-from orbitfinder.records.codec import Codec, Dense
+from orbitfinder.records.codec import Codec, Dense, check_shapes
 from orbitfinder.records.table import Tabled, Tables, placed
 
 COLOURED, BLANK = ("stability", "multiplier", "amplitude", "period"), (
@@ -136,12 +136,15 @@ class ParameterMap(Tabled):
         shape, n = (self.rows.size, self.columns.size), len(self.coordinates)
         wanted = {
             "blank": shape, "verdicts": shape, "periods": shape, "multipliers": (*shape, 2), "amplitudes": (*shape, n),
-            "nodes": (*shape, *self.nodes.shape[2:4]), "unfolding": (*shape, self.unfolding.shape[-1]),
-            "sample": (len(self.sample), 3),
+            "nodes": (*shape, *self.nodes.shape[2:4]), "unfolding": (*shape, *self.unfolding.shape[2:3]),
+            "sample": (*self.sample.shape[:1], 3), "columns": shape[1:], "rows": shape[:1],
         }  # fmt: skip
-        for name, size in wanted.items():
-            if getattr(self, name).shape != size:
-                raise ValueError(f"{name}: shape {getattr(self, name).shape} where {size} belongs")
+        check_shapes(self, **wanted)
+        if (
+            not all(axis.size and np.all(np.diff(axis) > 0) for axis in (self.rows, self.columns))
+            or self.nodes.ndim < 4
+        ):
+            raise ValueError("columns, rows, nodes: expected increasing values of the parameters, and orbits there")
         if self.by not in COLOURED:
             raise ValueError(f"by: {self.by!r} is none of {', '.join(COLOURED)}")
         whole = {"blank": len(BLANK), "verdicts": len(STABILITIES)}

@@ -382,8 +382,9 @@ class Compiler:
 def find_compiler() -> Compiler:
     """The compiler of $CC, else the first of cc, gcc, clang and ZIG. Raises `Unavailable` when none runs."""
     chosen = os.environ.get("CC", "").strip()
+    candidates: list[tuple[str, ...]] = [("cc",), ("gcc",), ("clang",)]
     try:
-        candidates = [tuple(shlex.split(chosen))] if chosen else [("cc",), ("gcc",), ("clang",)]
+        candidates = [tuple(shlex.split(chosen))] if chosen else candidates
     except ValueError as error:
         raise Unavailable(f"CC: {chosen!r} is not a command ({error}); quote it as a shell does, or unset CC") from None
     if not chosen and find_spec(ZIG[2]):

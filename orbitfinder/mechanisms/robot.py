@@ -235,7 +235,8 @@ def _urdf(path: Path, data: bytes) -> _Read:
         raise
     except Exception as error:
         said = " ".join(str(error).split())
-        raise InputError(f"file: {path.name} is no URDF that can be read ({type(error).__name__}: {said})") from error
+        said = f"{type(error).__name__}: {said}"
+        raise InputError(f"file: {path.name} is no URDF that can be read ({said}); correct it there") from error
     bodies, joints, unseen = dict[str, _RigidBody](), dict[str, _Joint](), list[str]()
     for link in robot_model.links:
         _put(bodies, "links", link.name, body := _RigidBody())
@@ -424,7 +425,7 @@ def _mjcf(path: Path, data: bytes) -> _Read:
             "<replicate> and meshes that the motion does not need"
         )
     if "refused" in lists:
-        raise InputError(f"file: {path.name} is no MJCF that can be read ({lists['refused']})")
+        raise InputError(f"file: {path.name} is no MJCF that can be read ({lists['refused']}); correct it there")
     model = SimpleNamespace(**lists)
     _check_smooth(model)
     names, gravity = model.bodies, [0.0] * 3 if "mjDSBL_GRAVITY" in model.off else model.gravity

@@ -136,6 +136,8 @@ class SweepRecord(Tabled):
     def _check(self) -> None:
         wanted = {*self.parameters, "certified", "reason", *NUMBERS}
         for k, row in enumerate(self.rows):
+            if rows := [name for name, value in row.items() if isinstance(value, (list, dict))]:
+                raise ValueError(f"rows[{k}].{rows[0]}: expected a number, a word or null, got a list or table")
             if row.keys() != self.rows[0].keys() or not row.keys() >= wanted or not isinstance(row["certified"], bool):
                 raise ValueError(f"rows[{k}]: not the columns of a sweep")
         if not self.rows:

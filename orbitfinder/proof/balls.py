@@ -70,6 +70,13 @@ truncated = partial(_setting, "cap")
 """The length beyond which Arb cuts power series off"""
 
 
+def why_not(error: Exception) -> str:
+    """Why a proof ended, in a sentence; Arb's own errors have none."""
+    if type(error) in (ZeroDivisionError, ValueError):
+        return "a divisor may be 0, or a matrix singular, within its balls; give more bits, or shorter segments"
+    return str(error)
+
+
 def decimal(number: float) -> Any:
     """The ball of what a float is written as: 9.8 is 49/5, not the double nearest to it."""
     if not np.isfinite(number):

@@ -38,6 +38,7 @@ from orbitfinder.proof.balls import (
     midpoints,
     precision,
     radius,
+    why_not,
 )
 from orbitfinder.proof.enclosure import TaylorSettings
 from orbitfinder.proof.field import Field, Programs, make_field, programs
@@ -618,7 +619,7 @@ def prove_event(
                 near_by = f"a {proof.kind} is {apart:.3g} away from it"
                 raise NotProved(f"no such event within {options.nearness:g} of the record; {near_by}")
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-            proof = replace(about, reason=str(error))
+            proof = replace(about, reason=why_not(error))
     return replace(proof, wall_time=round(time.perf_counter() - began, 1))
 
 
@@ -639,7 +640,7 @@ def _prove_doubling(family: Family, event: Event, model: Model, options: Options
             if not apart <= options.nearness:
                 raise NotProved(f"no such event within {options.nearness:g} of the record; it is {apart:.3g} away")
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-            return replace(about, reason=str(error))
+            return replace(about, reason=why_not(error))
     return proof
 
 

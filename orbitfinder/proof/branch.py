@@ -41,6 +41,7 @@ from orbitfinder.proof.balls import (
     identity,
     inside,
     precision,
+    why_not,
 )
 from orbitfinder.proof.enclosure import TaylorSettings, integrate
 from orbitfinder.proof.field import Programs, make_field, programs
@@ -357,7 +358,7 @@ class _BranchProof:
                 if shown.proved:
                     self.join(joined, shown)
             except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-                shown, why = None, str(error)
+                shown, why = None, why_not(error)
             length = (following - here) * self.scaled(shown)
             if shown is not None and shown.proved:
                 here = following
@@ -490,7 +491,7 @@ def _concluded(
                 each = (passage(kind, level, ends, *written) for kind, level in asked)
                 passed = [event for event in each if event is not None]
     except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-        return replace(about, proved=False, reason=str(error), wall_time=spent())
+        return replace(about, proved=False, reason=why_not(error), wall_time=spent())
     kept = tuple(replace(shown.piece, contraction=shown.contraction) for shown in joined)
     return replace(about, proved=True, reason="", pieces=kept, passages=tuple(passed), wall_time=spent())
 

@@ -48,6 +48,7 @@ from orbitfinder.proof.balls import (
     midpoints,
     precision,
     radius,
+    why_not,
 )
 from orbitfinder.proof.enclosure import TaylorSettings, Tube, cloud, integrate
 from orbitfinder.proof.field import Field, make_field, programs
@@ -750,7 +751,7 @@ def prove_connection(
             proof = run.concluded()
             run.check_recorded(connection, proof)
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-            proof = replace(run.about, reason=str(error))
+            proof = replace(run.about, reason=why_not(error))
     return replace(proof, wall_time=round(time.perf_counter() - began, 1))
 
 
@@ -765,7 +766,7 @@ def read_connection_proof(path: Path) -> ConnectionRecord:
         numbers += [
             *end.anchor,
             *end.centre,
-            *np.ravel(end.frame),
+            *(x for row in end.frame for x in row),
             end.radius,
             end.reach,
             end.slope,

@@ -49,6 +49,7 @@ from orbitfinder.proof.balls import (
     midpoints,
     precision,
     radius,
+    why_not,
 )
 from orbitfinder.proof.field import NUMERICAL, sloped
 from orbitfinder.proof.krawczyk import approximate_inverse, contracted
@@ -482,7 +483,7 @@ def _concluded(
             try:
                 part = _part(rest, what, *written)
             except (NotProved, ZeroDivisionError, ValueError) as error:
-                part = replace(part, reason=str(error))
+                part = replace(part, reason=why_not(error))
             parts.append(part)
             if part.event or not part.proved:
                 say(f"{part.place}: {'proved' if part.proved else f'not proved: {part.reason}'}")

@@ -20,7 +20,7 @@ from scipy.optimize import linear_sum_assignment
 from orbitfinder._runtime.cluster import home
 from orbitfinder.errors import InputError, IntegrationError, shortened
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import Versioned, arb, precision
+from orbitfinder.proof.balls import Versioned, arb, precision, why_not
 from orbitfinder.proof.theorem import STATEMENT, NotProved, Options, Progress, Proof, provable_model, proved_until
 from orbitfinder.records.orbit import Orbit, read_document, recorded_proof
 from orbitfinder.records.reading import read_as, write_json
@@ -206,7 +206,7 @@ def done_again(record: Record, concluded: Callable[[], Record]) -> Record:
     try:
         fresh = concluded()
     except (NotProved, IntegrationError, ZeroDivisionError) as error:
-        fresh = replace(record, proved=False, reason=str(error))  # type: ignore[type-var]
+        fresh = replace(record, proved=False, reason=why_not(error))  # type: ignore[type-var]
     return replace(fresh, wall_time=round(time.perf_counter() - began, 1))  # type: ignore[type-var]
 
 

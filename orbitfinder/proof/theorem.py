@@ -20,7 +20,7 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, p
 from orbitfinder.loops.symmetry import ALONE, NONE, Symmetry, named
 from orbitfinder.mechanics.kind import build_model, system_kind
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, midpoints, precision, radius
+from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, midpoints, precision, radius, why_not
 from orbitfinder.proof.closures import AJAR, closable, closing, comes_back
 from orbitfinder.proof.enclosure import TaylorSettings
 from orbitfinder.proof.field import Programs, make_field, programs
@@ -169,7 +169,7 @@ def _until_proved(proved: Callable[[], Proof], symmetry: str, options: Options, 
         try:
             proof = proved()
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-            proof = Proof(False, str(error), symmetry, options, 0.0)
+            proof = Proof(False, why_not(error), symmetry, options, 0.0)
         return replace(proof, wall_time=time.perf_counter() - began)
 
 
@@ -496,7 +496,7 @@ def refine(
                     check_motion(path, model, "the state", "the orbit")
                     reason = "" if comes_back(path) else AJAR
             except (IntegrationError, NotProved, ZeroDivisionError) as error:
-                reason = str(error)
+                reason = why_not(error)
         if enclose and not reason and radius(image) > 10.0**-digits:
             reason = f"the enclosure is only good to {radius(image):.1g}"
         form = start.formulation

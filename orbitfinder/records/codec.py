@@ -49,6 +49,19 @@ class Filed:
     endless: bool = False
 
 
+def check_shapes(record: Any, **shapes: tuple[int, ...]) -> None:
+    """`ValueError` for an array of a record that has another shape."""
+    for name, shape in shapes.items():
+        if (given := np.shape(getattr(record, name))) != shape:
+            raise ValueError(f"{name}: shape {given} where {shape} belongs")
+
+
+def check_axes(record: Any) -> None:
+    """`ValueError` for a record whose axes are not among its `state_names`."""
+    if not set(record.axes) <= set(record.state_names):
+        raise ValueError(f"axes: expected two of the components, got {', '.join(record.axes)}")
+
+
 def _null_for(unsaid: float) -> Filed:
     return Filed(
         lambda value: value if math.isfinite(value) else None,
@@ -58,7 +71,7 @@ def _null_for(unsaid: float) -> Filed:
 
 def _complexes(entry: Any, where: str) -> np.ndarray:
     pairs = typed(np.ndarray, entry, where)
-    if pairs.size and pairs.shape[1:] != (2,):
+    if pairs.shape != (0,) and pairs.shape[1:] != (2,):
         raise ValueError(f"{where}: expected a list of [re, im]")
     return np.asarray(pairs.reshape(-1, 2).view(complex)[:, 0])
 

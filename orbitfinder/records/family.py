@@ -52,6 +52,21 @@ as it takes, of Hill's matrix."""
 AGAIN = "continue the family again"
 BECOMES = ("becomes stable", "becomes unstable")
 """The details of a change of stability, in the order in which a family is listed"""
+CURVE: dict[str, Any] = {
+    "cycles": int, "watch": dict[str, Any], "parameters": tuple[str, str], "test": dict[str, Any], "method": str,
+    "form": str, "pace": float, "fixed": dict[str, float], "free": tuple[str, ...],
+}  # fmt: skip
+"""Entries of a family's curve that others than its solver read"""
+
+
+def check_curve(curve: Mapping[str, Any]) -> None:
+    """`ValueError` about an entry of a curve that is not of its kind."""
+    for name in CURVE.keys() & curve.keys():
+        typed(CURVE[name], curve[name], f"curve.{name}")
+    if isinstance(test := curve.get("test"), Mapping):
+        check_curve({name: entry for name, entry in test.items() if name == "parameters"})
+    if curve.get("cycles", 1) < 1:
+        raise ValueError(f"curve.cycles: expected 1 at least, got {curve['cycles']}")
 
 
 def _check_place(member: Any) -> None:
@@ -317,6 +332,7 @@ class Family(Tabled):
     def _check(self) -> None:
         if not self.points:
             raise ValueError("points: none")
+        check_curve(self.curve)
         members: tuple[FamilyPoint | Event, ...] = (*self.points, *self.events)
         if len({member.state.size for member in members}) > 1:
             raise ValueError("state: not of one size in all points and events")

@@ -19,7 +19,15 @@ import numpy as np
 
 from orbitfinder._runtime import locks
 from orbitfinder.errors import InputError, shortened
-from orbitfinder.records.reading import content_digest, file_lines, json_bytes, json_document, named, write_atomically
+from orbitfinder.records.reading import (
+    content_digest,
+    file_lines,
+    json_bytes,
+    json_document,
+    named,
+    typed,
+    write_atomically,
+)
 
 FORMAT, VERSION = "orbitfinder/journal", 1
 SEAL = "digest"
@@ -123,12 +131,12 @@ def packed(matrix: np.ndarray) -> str:
     return f"{matrix.shape[1]}:" + base64.b64encode(np.ascontiguousarray(matrix, "<f8").tobytes()).decode()
 
 
-def unpacked(text: str, columns: int) -> np.ndarray:
-    """The matrix of so many columns that a text stands for. Raises `ValueError`."""
-    width, _, data = text.partition(":")
-    if width != str(columns):
-        raise ValueError(f"expected numbers in {columns} columns, got {width[:9]!r}")
-    return np.frombuffer(base64.b64decode(data, validate=True), "<f8").reshape(-1, columns).astype(float)
+def unpacked(text: str, columns: int | None) -> np.ndarray:
+    """The matrix of so many columns, or as many as it says, that a text stands for. Raises `ValueError`."""
+    width, _, data = typed(str, text, "numbers").partition(":")
+    if not width.isdecimal() or (columns is not None and width != str(columns)):
+        raise ValueError(f"expected numbers in {columns or 'so many'} columns, got {width[:9]!r}")
+    return np.frombuffer(base64.b64decode(data, validate=True), "<f8").reshape(-1, int(width[:9])).astype(float)
 
 
 def begin_journal(path: Path, header: Mapping[str, Any], lines: Iterable[Mapping[str, Any]] = ()) -> None:

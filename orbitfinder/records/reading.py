@@ -38,7 +38,8 @@ MOST_VALUES = 10_000_000
 """Entries of a JSON document."""
 DEEPEST = 64
 """Levels of lists and tables."""
-LARGEST_INTEGER = 2**63 - 1
+LARGEST_INTEGER, LARGEST_NUMBER = 2**63 - 1, 1e150
+"""the latter of dense arrays: its square is finite"""
 BUSY = 2.0 if sys.platform == "win32" else 0.0
 """s to wait for others to close the file that is to be replaced"""
 
@@ -180,8 +181,8 @@ def arrays(path: Path, names: Sequence[str], remedy: str, endless: Sequence[str]
     try:
         members = npz_members(file_bytes(path, "npz file"), names, 4 * LARGEST_FILE)
         for name, numbers in members.items():
-            if np.isnan(numbers).any() or not (name in endless or np.isfinite(numbers).all()):
-                raise ValueError(f"{name} holds a number that is not finite")
+            if np.isnan(numbers).any() or not (name in endless or (np.abs(numbers) < LARGEST_NUMBER).all()):
+                raise ValueError(f"{name} holds a number that is not finite, or beyond {LARGEST_NUMBER:g}")
     except ValueError as error:
         if isinstance(error, InputError):
             raise
@@ -340,8 +341,9 @@ def _numbers(_: Any, value: Any, where: str) -> np.ndarray:
         numbers = np.asarray(value)
     except ValueError as error:
         raise _wrong(where, "numbers in rows of one length", value) from error
-    if isinstance(value, str) or (numbers.size and numbers.dtype.kind not in "fiu") or not 1 <= numbers.ndim <= 2:
-        raise _wrong(where, "a list of numbers", value)
+    fits = 1 <= numbers.ndim <= 2 and not isinstance(value, str)
+    if not fits or (numbers.size and (numbers.dtype.kind not in "fiu" or not np.abs(numbers).max() < 1e300)):
+        raise _wrong(where, "a list of numbers below 1e+300", value)
     return numbers.astype(float)
 
 

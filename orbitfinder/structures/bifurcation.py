@@ -36,7 +36,7 @@ from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.simulate import checked_state, simulate
 from orbitfinder.records.certificate import Certificate, at_most, equal
-from orbitfinder.records.codec import Codec, Dense, plain
+from orbitfinder.records.codec import Codec, Dense, check_shapes, plain
 from orbitfinder.records.family import Family
 from orbitfinder.records.journal import Checkpoints, checkpoints, header_of, packed, read_lines, unpacked
 from orbitfinder.records.orbit import system_at
@@ -139,12 +139,10 @@ class Bifurcation(Tabled):
         return np.asarray(self.heights[(self.owners == (value, motion)).all(axis=1)])
 
     def _check(self) -> None:
-        n, d, runs = self.times.size, len(self.state_names), len(self.starts) * (1 + (self.sweep == "both"))
-        shapes = {"states": (n, d), "times": (n,), "owners": (n, 2), "repeats": (self.values.size, runs),
-                  "starts": (len(self.starts), d)}  # fmt: skip
-        for name, shape in shapes.items():
-            if np.shape(getattr(self, name)) != shape:
-                raise ValueError(f"{name}: shape {np.shape(getattr(self, name))} where {shape} belongs")
+        n, d, motions = self.times.size, len(self.state_names), self.starts.size // max(1, len(self.state_names))
+        runs = motions * (1 + (self.sweep == "both"))
+        check_shapes(self, states=(n, d), times=(n,), owners=(n, 2), repeats=(self.values.size, runs),
+                     starts=(motions, d))  # fmt: skip
         if self.coordinate not in self.state_names or self.sweep not in SWEEPS or not self.values.size or not runs:
             raise ValueError(f"coordinate, sweep: {self.coordinate!r}, {self.sweep!r} are not of this record")
         if not all(np.issubdtype(getattr(self, name).dtype, np.integer) for name in ("owners", "repeats")):

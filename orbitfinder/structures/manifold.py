@@ -13,7 +13,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.records.certificate import Certified
-from orbitfinder.records.codec import Codec, Dense, Endless, Unknown, plain
+from orbitfinder.records.codec import Codec, Dense, Endless, Unknown, check_axes, check_shapes, plain
 from orbitfinder.records.reading import write_atomically
 
 
@@ -85,6 +85,12 @@ class Manifold(Shown):
     def order(self) -> float:
         """Order of the displacement's error as measured; 2 where the manifold is curved."""
         return float(np.log2(nonzero(self.error) / nonzero(self.error_at_half)))
+
+    def _check(self) -> None:
+        check_axes(self)
+        count, d = len(self.pieces), len(self.state_names)
+        check_shapes(self, states=(count, d), point=(d,), direction=(d,),
+                     **dict.fromkeys(("pieces", "places", "images", "times"), (max(count, 1),)))  # fmt: skip
 
 
 MANIFOLD = Codec(Manifold, "manifold", "`orbitfinder manifold`", "make it again")
@@ -178,6 +184,7 @@ class Connection(Shown):
         return "homoclinic" if same else "heteroclinic"
 
     def _check(self) -> None:
+        check_axes(self)
         if self.states.ndim != 2 or not 0 <= self.chosen < len(self.states):
             raise ValueError(f"states: expected rows, number {self.chosen} among them, got shape {self.states.shape}")
 

@@ -21,7 +21,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
-from orbitfinder.records.codec import Codec, Dense, Filed, Unknown
+from orbitfinder.records.codec import Codec, Dense, Filed, Unknown, check_axes, check_shapes
 
 CLEAR, FEWEST = 2.0, 20
 """How much nearer a law comes than the other before it is said to hold; returns of which anything is said"""
@@ -109,14 +109,10 @@ class Section(Shown):
         return np.asarray(self.states[:, [self.state_names.index(name) for name in self.axes]])
 
     def _check(self) -> None:
-        if not set(self.axes) <= set(self.state_names):
-            raise ValueError(f"axes: expected two of the components, got {', '.join(self.axes)}")
+        check_axes(self)
         count, motions, d = self.times.size, len(self.starts), len(self.state_names)
-        shapes = {"states": (count, d), "times": (count,), "seeds": (count,), "starts": (motions, d),
-                  "growth": (count,) if self.growth.shape == (count,) else (motions,)}  # fmt: skip
-        for name, shape in shapes.items():
-            if getattr(self, name).shape != shape:
-                raise ValueError(f"{name}: shape {getattr(self, name).shape} where {shape} belongs")
+        check_shapes(self, states=(count, d), times=(count,), seeds=(count,), starts=(motions, d),
+                     growth=(count,) if self.growth.shape == (count,) else (motions,))  # fmt: skip
         if not motions or self.seeds.dtype.kind != "i" or not np.isin(self.seeds, np.arange(motions)).all():
             raise ValueError(f"seeds: expected numbers of {motions} motions, counted from 0")
 
