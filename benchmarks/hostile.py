@@ -353,6 +353,8 @@ def _record(kind, sample, folder, random, as_bytes):
     beside, npz = path.with_suffix(".npz"), sample.with_suffix(".npz")
     if npz.exists():
         shutil.copy(npz, beside)
+    for folder_beside in SAMPLES.glob("equilibria*/") if kind == "diagram" else ():
+        shutil.copytree(folder_beside, folder / folder_beside.name)
     data = sample.read_bytes()
     if npz.exists() and random.random() < 0.3:
         content = npz.read_bytes()

@@ -385,3 +385,32 @@ def test_numbers_belong_to_settings():
         if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(target, ast.Name) and target.id.isupper()
     ]
     assert len(named) <= 650
+
+
+HANDED_ON = {"integrate.dop853", "_runtime.tasks", "_runtime.guard"}
+"""Files that keep what was raised and raise it again: beyond SciPy, from a future; and a thread that raises no limit"""
+
+
+def names_in(node):
+    """The names that something is made of."""
+    return {each.id for each in ast.walk(node) if isinstance(each, ast.Name)} if node else set()
+
+
+def test_no_wide_handler_takes_a_time_limit():
+    """`except Exception` comes behind the limit's own handler, or raises again: it said "is no matrix (stopped)"."""
+    wrong = []
+    for module, tree in modules().items():
+        for node in ast.walk(tree):
+            passed, handlers = set(), node.handlers if isinstance(node, ast.Try) else ()
+            for handler in handlers:
+                names = names_in(handler.type)
+                wide = names & {"Exception", "BaseException"} or ("OrbitfinderError" in names and not handler.name)
+                again = any(isinstance(each, ast.Raise) and not each.exc for each in ast.walk(handler))
+                if wide and not again and not passed & {"LimitError", "OrbitfinderError"}:
+                    wrong.append((module, handler.lineno))
+                passed |= names
+            if isinstance(node, ast.Call) and "suppress" in ast.unparse(node.func):
+                wrong += [
+                    (module, node.lineno) for each in node.args if names_in(each) & {"Exception", "BaseException"}
+                ]
+    assert {module for module, _ in wrong} <= HANDED_ON, wrong

@@ -419,7 +419,7 @@ XPP = [
     ("y=del_shft(x,2)", "'del_shft(x,2)' is not allowed"), ("y'=xx", "unknown name 'xx', did you mean 'x'?"),
     ("par b=8/3", "is not understood; read are par a=1"), ("par a", "is not understood"), ("x(0)=a", "is not under"),
     ("x'=2*x", "x is defined in line 2 too"), ("par X=1", "X is defined in line 2 too"), ("init q=3", "the rate of q"),
-    ("y'=x +", "no expression"), ("q=x.real", "'.' has no meaning"), ("par exp=3", "no name that is free"),
+    ("y'=x +", "no expression"), ("q=x.real", "'.' is not expected"), ("par exp=3", "no name that is free"),
     ("y'=10^400", "no finite real number"), ("x==3", "is not understood"), ("y'=", "is not understood"),
     ("f(a)=f(a)", "is defined by itself"), ("y'=foo(x)", "'foo(x)' is not allowed"), ("solv y=1", "is not understood"),
 ]  # fmt: skip

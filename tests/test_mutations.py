@@ -7,10 +7,8 @@ call; only `OrbitfinderError` is allowed. A failure names its seed: `mutant(form
 """
 
 import contextlib
-import copy
 import io
 import json
-import re
 import shutil
 import signal
 import sqlite3
@@ -23,6 +21,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from benchmarks.hostile import edited, edited_toml, garbled, written
 from orbitfinder.atlas.report import discovery, summarise
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
@@ -71,108 +70,6 @@ def limited():
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, before)
-
-
-def deep(levels=3000):
-    """JSON nested this deep, as text: `json.dumps` itself could not write it."""
-    return "[" * levels + "]" * levels
-
-
-VALUES = (
-    None, True, False, "", "x", "1.0", "\ud800", "a\nb\x1b[2J", -1, 0, 1, 2**31, 2**63, -(10**30), 10**400, 0.0, -1.0,
-    1e-320, 1e300, -1e308, float("nan"), float("inf"), [], {}, [[]], [None], {"a": 1}, [1.0, [2.0]],
-    [[1.0], [1.0, 2.0]], "x" * 5000, [0.0] * 3000, "DEEP", ["DEEP"], "../../etc/passwd", "none", "brake", "python",
-)  # fmt: skip
-
-
-def containers(document):
-    """Every list and table in a document."""
-    inside = document.values() if isinstance(document, dict) else document
-    yield document
-    for one in inside:
-        if isinstance(one, (dict, list)):
-            yield from containers(one)
-
-
-def edited(document, random):
-    """A document with one to three entries dropped, doubled, renamed, exchanged, or replaced by something else."""
-    made = copy.deepcopy(document)
-    for _ in range(random.integers(1, 4)):
-        places = [one for one in containers(made) if one]
-        if not places:
-            break
-        place = places[random.integers(len(places) if random.random() < 0.7 else min(8, len(places)))]
-        keys = list(place) if isinstance(place, dict) else list(range(len(place)))
-        key, value = keys[random.integers(len(keys))], VALUES[random.integers(len(VALUES))]
-        act = random.choice(["drop", "value", "value", "value", "double", "other", "scale"])
-        if act == "drop":
-            del place[key]
-        elif act == "double" and isinstance(place, list):
-            place.insert(key, copy.deepcopy(place[key]))
-        elif act == "double":
-            place[f"{key}x"] = place.pop(key)
-        elif act == "other":
-            place[key] = copy.deepcopy(place[keys[random.integers(len(keys))]])
-        elif act == "scale" and isinstance(place[key], float):
-            place[key] *= float(random.choice([-1.0, 1e-9, 1 + 1e-9, 2.0, 1e12]))
-        else:
-            place[key] = copy.deepcopy(value)
-    return made
-
-
-def written(document):
-    """JSON text of a mutant, its deep places made deep."""
-    return json.dumps(document).replace('"DEEP"', deep()).encode()
-
-
-def garbled(data, random):
-    """Bytes flipped, cut, taken out, doubled, blanked or put in."""
-    made = bytearray(data)
-    for _ in range(random.integers(1, 6)):
-        at, size = int(random.integers(len(made) + 1)), int(random.integers(1, 40))
-        act = random.choice(["flip", "flip", "cut", "out", "double", "blank", "in"])
-        if act == "flip" and at < len(made):
-            made[at] ^= 1 << int(random.integers(8))
-        elif act == "cut":
-            del made[max(at, len(made) // 8) :]
-        elif act == "out":
-            del made[at : at + size]
-        elif act == "double":
-            made[at:at] = made[at : at + size]
-        elif act == "blank":
-            made[at : at + size] = bytes(len(made[at : at + size]))
-        else:
-            made[at:at] = random.bytes(size)
-    return bytes(made)
-
-
-WORDS = ("-1", "0", "1e300", "nan", "-inf", "1" * 5000, str(2**63), "true", '""', '"x"', "[]", "[[]]", "{}",
-         "{ a = 1 }", "[1.0, 'x']", "1979-05-27", '"\\u0000"', "[" * 3000, "0.5", '"linkage"')  # fmt: skip
-
-
-def edited_toml(text, random):
-    """The lines of a TOML file dropped, doubled, moved, renamed or given other values."""
-    lines = text.splitlines()
-    for _ in range(random.integers(1, 4)):
-        at = int(random.integers(len(lines)))
-        key, equals, value = lines[at].partition("=")
-        act, word = random.choice(["drop", "double", "move", "rename", "value", "value", "entry"]), random.choice(WORDS)
-        if act == "drop" and len(lines) > 1:
-            del lines[at]
-        elif act == "double":
-            lines.insert(at, lines[at])
-        elif act == "move":
-            lines.insert(int(random.integers(len(lines))), lines.pop(at))
-        elif act == "rename" and equals:
-            lines[at] = f"{key.strip()}{random.choice(['x', '.a', ' .'])} = {value}"
-        elif act == "entry":
-            numbers = list(re.finditer(r"-?\d[\d.e+-]*", value))
-            if numbers:
-                one = numbers[random.integers(len(numbers))]
-                lines[at] = f"{key}={value[: one.start()]}{word}{value[one.end() :]}"
-        elif equals:
-            lines[at] = f"{key}= {word}"
-    return "\n".join(lines) + "\n"
 
 
 @pytest.fixture(scope="module")

@@ -154,10 +154,6 @@ def symmetry_option(what: str) -> Decorator:
     return option("symmetry", what, callback=_symmetry, metavar=known)
 
 
-SPREAD = ("shard", "scheduler", "workers")
-"""Options of proofs of many orbits"""
-
-
 @click.command()
 @orbit_files
 @symmetry_option("Prove in this symmetry; default: the recorded one. none: unique among all near.")
@@ -214,8 +210,7 @@ def prove(
     usually = {} if number is None else {"order": 24, "tolerance": 1e-19}
     options, results = checked(Options(**usually | {k: v for k, v in given.items() if v is not None})), []
     if number is not None:
-        if unused := [name for name in SPREAD if spread[name] is not None]:
-            raise InputError(f"--{unused[0]}: is for orbits; a single event is proved here, leave it out")
+        _refuse(spread, "is for orbits; a single event is proved here")
         _prove_event(files, number, options, record, trust)
         return
     part = shard_from(shard) or WHOLE
@@ -228,6 +223,12 @@ def prove(
         _print_proof(f"{file} ({orbit.name})", proof, document)
     passed = all(result["proved"] for result in results)
     finish("proof", {"passed": passed, "results": results}, passed)
+
+
+def _refuse(given: Mapping[str, Any], why: str) -> None:
+    """`InputError` for an option that is given and has no meaning."""
+    for name in (name for name, value in given.items() if value is not None):
+        raise InputError(f"--{name}: {why}, leave it out")
 
 
 def _orbits_in(file: Path) -> list[tuple[Path, bool]]:
@@ -304,8 +305,7 @@ def _prove_branch(
 
     if low is None or high is None or len(files) != 1:
         raise InputError("--from, --to: give both, and one FAMILY.json")
-    if unused := [name for name in (*SPREAD, "segments", "order", "bits", "tolerance") if given.get(name) is not None]:
-        raise InputError(f"--{unused[0]}: is for single orbits; a branch chooses its own, leave it out")
+    _refuse(given | {"symmetry": None}, "is for single orbits; a branch chooses its own")
     file = files[0]
     family = load_family(file)
     target = file.parent / "branch-proof.json"
@@ -340,9 +340,7 @@ def _prove_rest(files: tuple[Path, ...], resting: list[Path], record: bool, trus
     from orbitfinder.proof.equilibria import CODEC, prove_equilibria
     from orbitfinder.proof.theorem import provable_system
 
-    unused = [name for name, value in given.items() if value is not None]
-    if unused:
-        raise InputError(f"--{unused[0]}: is for orbits and families; equilibria are proved whole, leave it out")
+    _refuse(given, "is for orbits and families; equilibria are proved whole")
     if len(resting) < len(files):
         raise InputError("FILE: equilibria and others together; prove them by a command each")
     results = []
@@ -368,11 +366,11 @@ def _prove_connections(
     from orbitfinder.proof.record import checked
     from orbitfinder.proof.theorem import Options, provable_system
 
-    if unused := [name for name in ("symmetry", "segments", "event", *SPREAD) if given.pop(name, None) is not None]:
-        raise InputError(f"--{unused[0]}: is for orbits and families; leave it out")
+    chosen = {name: given.pop(name) for name in ("order", "bits", "tolerance")}
+    _refuse(given, "is for orbits and families")
     if len(joined) < len(files):
         raise InputError("FILE: connections and others together; prove them by a command each")
-    options, results = checked(Options(**{k: v for k, v in given.items() if v is not None})), []
+    options, results = checked(Options(**{k: v for k, v in chosen.items() if v is not None})), []
     for file in joined:
         connection = load(file)
         if record:

@@ -176,14 +176,15 @@ class Equilibria(Tabled):
             raise ValueError("points: expected one at least, all of one number of components and eigenvalues")
         check_curve(self.curve)
         shape, size = self.points[0].state.shape, 2 * ("parameters" in self.curve)
-        for kind, members in (("points", self.points), ("events", self.events)):
+        groups: dict[str, tuple[Equilibrium | RestEvent, ...]] = {"points": self.points, "events": self.events}
+        for kind, members in groups.items():
             for k, member in enumerate(members):
                 if member.state.shape != shape or np.size(member.values) != size:
                     raise ValueError(f"{kind}[{k}]: state or values: {member.state.size} and {np.size(member.values)} "
-                                     f"numbers where {shape[0]} and {size} belong")  # fmt: skip
+                                     f"numbers where the curve has {shape[0]} and {size}")  # fmt: skip
                 place = member.parameter if isinstance(member, RestEvent) else member.value
                 if not max(abs(place), np.abs(member.state).max(initial=0.0)) < 1e100:
-                    raise ValueError(f"{kind}[{k}]: {self.parameter} or state is beyond 1e+100")
+                    raise ValueError(f"{kind}[{k}]: parameter, value or state is beyond 1e+100")
 
 
 EQUILIBRIA = "equilibria"

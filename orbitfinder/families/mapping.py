@@ -350,7 +350,7 @@ def verified(made: ParameterMap, model: Model) -> Certificate:
     plane = plane_of(described(made.system, None, made.curve, names, axes, made.mesh, made.nodes.shape[2]), model)
     curve, pixels, worst, wrong = plane.curve, np.argwhere(made.known), np.zeros(2), 0
     mesh = plane.mesh if curve.equations.gridded else divided(plane.mesh, 2)
-    for part in np.array_split(pixels, -(-len(pixels) // TOGETHER)):
+    for part in np.array_split(pixels, -(-len(pixels) // TOGETHER)) if len(pixels) else ():
         places = [_place(plane, made, pixel).on(mesh) for pixel in part]
         paths = curve.equations.varied_each(places, states=True)
         solutions = [Solution(w, path, NO_ROWS, 0.0) for w, path in zip(places, paths, strict=True)]

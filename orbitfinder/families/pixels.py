@@ -84,7 +84,7 @@ class PixelBlock:
         """Write such rows back. Raises `ValueError`."""
         least, most = np.zeros(4), [*np.array(self.blank.shape) - 1, len(BLANK) - 1, 2 ** len(SIDES) - 1]
         if not np.all((matrix[:, :4] >= least) & (matrix[:, :4] <= most)) or np.isnan(matrix).any():
-            raise ValueError(f"a pixel is not one of {self.blank.shape[0]} x {self.blank.shape[1]}, or not a number")
+            raise ValueError(f"a pixel outside {self.blank.shape[0]} x {self.blank.shape[1]}, or no number")
         (i, j, blank, tried), rest = matrix[:, :4].astype(int).T, matrix[:, 4:]
         self.blank[i, j], self.tried[i, j] = blank, tried
         self.vectors[i, j], self.numbers[i, j] = np.split(rest, [self.vectors.shape[2]], axis=1)

@@ -12,6 +12,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.codec import Codec, Dense, check_shapes
+from orbitfinder.records.family import check_curve
 from orbitfinder.records.table import Tabled, Tables, placed
 
 COLOURED, BLANK = ("stability", "multiplier", "amplitude", "period"), (
@@ -140,10 +141,9 @@ class ParameterMap(Tabled):
             "sample": (*self.sample.shape[:1], 3), "columns": shape[1:], "rows": shape[:1],
         }  # fmt: skip
         check_shapes(self, **wanted)
-        if (
-            not all(axis.size and np.all(np.diff(axis) > 0) for axis in (self.rows, self.columns))
-            or self.nodes.ndim < 4
-        ):
+        check_curve(self.curve)
+        rising = [axis.size and np.all(np.diff(axis) > 0) for axis in (self.rows, self.columns)]
+        if not all(rising) or self.nodes.ndim < 4:
             raise ValueError("columns, rows, nodes: expected increasing values of the parameters, and orbits there")
         if self.by not in COLOURED:
             raise ValueError(f"by: {self.by!r} is none of {', '.join(COLOURED)}")

@@ -91,7 +91,7 @@ def read(path: Path) -> Solid:
         with np.errstate(all="ignore"):
             corners, faces = reader(data)
         if not len(faces) or faces.min() < 0 or faces.max() >= len(corners):
-            at = f", one of them at corner {faces.max() + 1}" if len(faces) else ""
+            at = f", with corner {faces.max() + 1}" if len(faces) else ""
             raise ValueError(f"{len(corners)} corners and {len(faces)} triangles{at}")
         if not (np.abs(corners) < 1e100).all():
             raise ValueError("a corner is not a finite number below 1e+100")
@@ -109,8 +109,8 @@ def _stl(data: bytes) -> Solid:
         layout = np.dtype([("normal", "<f4", 3), ("at", "<f4", (3, 3)), ("more", "<u2")])
         corners = np.frombuffer(data, layout, count, 84)["at"].reshape(-1, 3).astype(float)
     else:
-        found = re.finditer(rb"vertex\s++(\S++)\s++(\S++)\s++(\S++)", data)
-        corners = np.fromiter((float(number) for match in found for number in match.groups()), float).reshape(-1, 3)
+        triples = re.finditer(rb"vertex\s++(\S++)\s++(\S++)\s++(\S++)", data)
+        corners = np.fromiter((float(number) for triple in triples for number in triple.groups()), float).reshape(-1, 3)
     return corners, np.arange(len(corners)).reshape(-1, 3)
 
 
@@ -143,7 +143,7 @@ def _collada(data: bytes) -> Solid:
 
     def walk(node: ElementTree.Element, before: np.ndarray) -> None:
         nonlocal spent
-        here, spent = before, spent + 20
+        here, spent = before, spent + 200
         for part in node:
             here = here @ _moved(part)
         for part in node:

@@ -22,12 +22,10 @@ from orbitfinder.records.reading import file_beside, file_bytes, npz_members
 
 Matrix = Any
 """Dense, SciPy's sparse, the path of a Matrix Market (.mtx) or NumPy file (.npz), or Matrix Market text"""
-LARGEST = 50_000_000
-"""Bytes of a file of a matrix"""
-MARKET, MATRICES, FORMATS = "%%MatrixMarket", ("mass", "damping", "stiffness"), (
+LARGEST, MARKET, MATRICES, FORMATS = 50_000_000, "%%MatrixMarket", ("mass", "damping", "stiffness"), (
     ("matrix",), ("coordinate", "array"), ("real", "double", "integer"), ("general", "symmetric", "skew-symmetric"),
 )  # fmt: skip
-"""What Matrix Market text begins with; the matrices of a structure; the words after that beginning"""
+"""Bytes of a matrix's file; what Matrix Market text begins with; matrices of a structure; words after that beginning"""
 SYMMETRIC, SINGULAR = 1e-9, 1e-13
 """Shares of the largest entry by which a symmetric matrix may differ from its transpose, and of the largest pivot
 below which a pivot is none"""

@@ -24,10 +24,10 @@ LISTS, LEFT_OUT = (
     {"a", "aux", "set", "options", "only"},
 )  # fmt: skip
 """What changes no equation: columns of tables, values to choose from later, choices of a window"""
-PRIORITIES = {**dict.fromkeys(("+", "-", "|", "||"), 4), **dict.fromkeys(("*", "/", "&", "&&"), 6),
+LONGEST, PRIORITIES = 20_000, {**dict.fromkeys(("+", "-", "|", "||"), 4), **dict.fromkeys(("*", "/", "&", "&&"), 6),
               **dict.fromkeys(("^", "**", ">", "<", "==", ">=", "<=", "!="), 7)}  # fmt: skip
-"""How tightly operators bind, all from the left; a minus and a not before something bind as a product does"""
-TOKEN = re.compile(rf" ?({NUMBER[5:]}|[A-Za-z_]\w*|\*\*|[=<>!]=|&&|\|\||[-+*/^<>&|(),])")
+"""Letters of a line with those that it goes on in; how tightly operators bind, all from the left; a minus and a not
+before something bind as a product does"""
 OWN = {"heav": ("heav(u)", "if(u >= 0, 1, 0)"), "ln": ("ln(u)", "log(u)"), "log10": ("log10(u)", "log(u)/log(10)"),
        "not": ("not_(u)", "if(u, 0, 1)")}  # fmt: skip
 """XPPAUT's functions that are written out in ours"""
@@ -37,10 +37,6 @@ FORMS = {
     r"([A-Za-z_]\w* ?\((?! ?t ?[+)]) ?[A-Za-z_][ \w,]*\)) ?=([^=].*)": "let",
 }  # fmt: skip
 """Lines that define something"""
-
-
-LONGEST = 20_000
-"""Letters of a line with those that it goes on in"""
 
 
 @dataclass(frozen=True)
@@ -197,13 +193,8 @@ def _translated(entry: _Entry, spelled: Mapping[str, str]) -> str:
 def _bracketed(text: str) -> str:
     """An expression with brackets where XPPAUT reads it otherwise: operators from the left, comparisons as tight as
     powers, `&` as a product and `|` as a sum. Raises `ValueError`. Source: `alg_to_rpn` of its parserslow.c."""
-    tokens, at = list[str](), 0
-    while text[at:].strip():
-        if not (match := TOKEN.match(text, at)):
-            raise ValueError(f"{text[at:].strip()[:1]!r} has no meaning")
-        tokens.append(match[1])
-        at = match.end()
-    tokens = [*reversed(tokens)]
+    sign = r"\*\*|[=<>!]=|&&|\|\||\S"
+    tokens = [match[0] for match in re.finditer(rf"{NUMBER[5:]}|[A-Za-z_]\w*|{sign}", text)][::-1]
 
     def listed() -> str:
         """What stands in brackets, with them."""

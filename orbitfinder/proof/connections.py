@@ -774,8 +774,11 @@ def read_connection_proof(path: Path) -> ConnectionRecord:
             end.slack,
         ]
     positive = (*counts, record.radius, *(x for end in ends for x in (end.radius, end.reach, end.slope, end.slack)))
-    if not (np.all(np.isfinite(numbers)) and min(positive) > 0 and max(counts) <= 10_000):
-        raise InputError(f"{path}: centre, radius, origin or goal: no usable numbers; {CODEC.again}")
+    even = all(len(row) == len(end.anchor) for end in ends for row in end.frame)
+    if not (even and np.all(np.isfinite(numbers)) and min(positive) > 0 and max(counts) <= 10_000):
+        raise InputError(
+            f"{path}: centre, radius, origin or goal: no usable numbers in anchor, frame, ...; {CODEC.again}"
+        )
     return record
 
 

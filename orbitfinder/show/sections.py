@@ -136,7 +136,7 @@ def _limits(
     turns = [name in model.state_names[: model.degrees_of_freedom] and model.angular[model.state_names.index(name)]
              for name in names]  # fmt: skip
     low, high = np.where(turns, np.maximum(low, -np.pi), low), np.where(turns, np.minimum(high, np.pi), high)
-    room = 0.06 * (high - low) + 1e-12 * np.abs(high)
+    room = np.where(high > low, 0.06 * (high - low) + 1e-12 * np.abs(high), 1.0)
     axes.set_xlim(low[0] - room[0], high[0] + room[0])
     axes.set_ylim(low[1] - room[1], high[1] + room[1])
 

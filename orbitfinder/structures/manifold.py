@@ -88,7 +88,7 @@ class Manifold(Shown):
 
     def _check(self) -> None:
         check_axes(self)
-        count, d = len(self.pieces), len(self.state_names)
+        count, d = self.pieces.size, len(self.state_names)
         check_shapes(self, states=(count, d), point=(d,), direction=(d,),
                      **dict.fromkeys(("pieces", "places", "images", "times"), (max(count, 1),)))  # fmt: skip
 

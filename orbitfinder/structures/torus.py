@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder.errors import shortened
 from orbitfinder.records.certificate import Certified, certified
 from orbitfinder.records.codec import Codec, Unknown
 from orbitfinder.records.table import Tabled, Tables, entries, known_levels, placed
@@ -56,7 +57,7 @@ class Torus(Shown):
         return first, first * self.rotation
 
     def _check(self) -> None:
-        if self.curve.ndim != 2 or len(self.curve) % 2 == 0:
+        if self.curve.ndim != 2 or len(self.curve) % 2 == 0 or not np.abs(self.curve).max(initial=0.0) < 1e100:
             raise ValueError(f"curve: expected an odd number of states, got numbers of shape {self.curve.shape}")
         if not self.period > 0:
             raise ValueError(f"period: expected more than 0, got {self.period:g}")
@@ -108,6 +109,8 @@ class Tori(Tabled):
     def _check(self) -> None:
         if len({torus.curve.shape[1] for torus in self.tori}) != 1:
             raise ValueError("tori: expected one at least, all of one number of coordinates")
+        if unknown := {self.parameter, *self.held} - {"rotation", "energy", "period", *self.tori[0].free}:
+            raise ValueError(f"parameter, held: {shortened(min(unknown))!r} is not a number of these tori")
 
 
 CODEC = Codec(Tori, "tori", "`orbitfinder torus`", "compute the tori again")
