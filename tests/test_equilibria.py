@@ -13,7 +13,7 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.rest_certificate import verified
-from orbitfinder.families.rest_problem import Dense, Stacked, regular, singular
+from orbitfinder.families.rest_problem import Stacked, regular, singular
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.show.equilibria import stretched
 
@@ -169,20 +169,6 @@ def test_derivatives_are_those_of_differences():
             step[k] = 1e-5 * size
             slope = (extended.rows(start.moved(step)) - extended.rows(start.moved(-step))) / 2e-5
             assert np.allclose(slope, linear.matrix[:, k], rtol=1e-6, atol=1e-6), (kind, k)
-
-
-def test_a_determinant_is_told_by_the_factors_with_another_last_row():
-    """Its sign and the root of its size, of the columns in their sizes."""
-    random = np.random.default_rng(2)
-    for _ in range(4):
-        matrix, sizes, rows = random.normal(size=(3, 4)), random.uniform(0.1, 10.0, 4), random.normal(size=(2, 4))
-        free = np.linalg.svd(matrix)[2][-1] * sizes
-        free /= rows[1] @ free
-        exact = np.linalg.det(np.vstack([matrix, rows[1] * sizes]))
-        alone, after = Dense(matrix, sizes), Dense(matrix, sizes)
-        after.closed(rows[:1])
-        for linear in (alone, after):
-            assert linear.determinant(rows[1], free) == pytest.approx(np.sign(exact) * abs(exact) ** 0.25, rel=1e-10)
 
 
 def test_a_simulation_leads_to_rest_and_a_cycle_does_not():

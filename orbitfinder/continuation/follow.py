@@ -26,6 +26,7 @@ from scipy.optimize import brentq
 
 from orbitfinder._runtime import limit
 from orbitfinder.continuation.problem import Point, plane, solved
+from orbitfinder.continuation.tests import Crossing, Entries, Roots, crossings
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import End
@@ -118,6 +119,8 @@ def zero(value: Callable[[float], float], low: float, high: float, tolerance: fl
 
 Test = Callable[[Point], float]
 """What vanishes at an event, and changes its sign there"""
+Tests = Mapping[str, Test | Entries]
+"""By the name of the event: a function, or entries of the spectrum"""
 
 
 @dataclass(frozen=True)
@@ -385,17 +388,17 @@ class CurveJournal:
 
 def follow(
     curve: SolutionCurve, trace: CurveJournal, begin: Callable[[], Point], goals: Goals, pace: Pace,
-    tests: Mapping[str, Test] | None = None,
+    tests: Tests | None = None, spectrum: Callable[[Point], Roots] | None = None,
 ) -> Iterator[KeptPoint]:  # fmt: skip
     """The points of a curve from where it begins until it ends; the curve grows by a step before its points come.
 
-    `tests` are events by name. What `begin` raises is raised.
+    `tests` are events by name, `spectrum` the roots of a point. What `begin` raises is raised.
     """
     if not trace.steps:
         trace.add(trace.kept("step", begin()))
     curve.points.append(trace.steps[0])
     yield trace.steps[0]
-    ahead = walked(_Arclength(trace, goals, pace, tests or {}), pace.points)
+    ahead = walked(_Arclength(trace, goals, pace, tests or {}, spectrum), pace.points)
     for index in range(1, pace.points):
         if index == len(trace.steps) and trace.end is None:
             next(ahead)
@@ -431,7 +434,8 @@ class _Arclength:
     trace: CurveJournal
     goals: Goals
     pace: Pace
-    tests: Mapping[str, Test]
+    tests: Tests
+    spectrum: Callable[[Point], Roots] | None = None
     last: dict[str, float] = field(default_factory=dict)
     """of each test, at the point where it stands"""
 
@@ -484,13 +488,38 @@ class _Arclength:
             before = replace(before, problem=after.problem, w=w, tangent=moved.vector - w.vector)
         middle = between(before, after, 0.5) if self.tests else after
         same = self.last if after.problem is before.problem else {}  # in the same metric
+        kinds = dict[Entries, str]()
         for name, test in self.tests.items():
+            if not callable(test):
+                kinds[test] = name
+                continue
             look, tested[name] = partial(_looked, before, after, test), test(after.sharp)
             known = {0.0: same[name] if name in same else look(0.0), 0.5: test(middle), 1.0: tested[name]}
             for within in changes(look, known):
                 event = located(before, after, test, within, self.pace.located)
                 events += [] if event is None else [self.trace.kept(name, event)]
+        events += self._crossed(before, after, kinds) if kinds else []
         return sorted(events, key=lambda event: event.point.arclength), tested
+
+    def _crossed(self, before: Point, after: Point, kinds: Mapping[Entries, str]) -> list[KeptPoint]:
+        """Where entries of the spectrum vanish within a step, by its length along its first tangent."""
+        assert self.spectrum is not None
+        spectrum, start, length, events = self.spectrum, before.arclength, after.arclength - before.arclength, []
+
+        def roots(point: Point) -> Roots:
+            known = spectrum(point)
+            return replace(known, slopes=known.slopes / before.inner(point.tangent))
+
+        def value(crossing: Crossing, point: Point) -> tuple[float, complex]:
+            return crossing.value(roots(point), (point.arclength - start) / length, length)
+
+        ends = roots(before.sharp), roots(after.sharp)
+        for crossing in crossings(lambda share: roots(advanced(before, share * length).sharp), ends, length, kinds):
+            test = partial(value, crossing)
+            event = located(before, after, lambda point: test(point)[0], crossing.within, self.pace.located)  # noqa: B023
+            if event is not None:
+                events.append(self.trace.kept(kinds[crossing.kind], replace(event, critical=test(event)[1])))
+        return events
 
     def failed(self, reason: str) -> _Line:
         return self.trace.add(end=End("step underflow", reason))

@@ -66,7 +66,10 @@ class ContinuationProblem(Protocol):
 
 @dataclass(eq=False)  # not frozen, which makes it in three times the time
 class Point:
-    """A solution, its tangent (over w, of length 1), its arclength, the next step's, the corrector's iterations."""
+    """A solution, its tangent (over w, of length 1), its arclength, the next step's, the corrector's iterations.
+
+    `critical` is the root that crosses where a point is an event of a spectrum.
+    """
 
     problem: Any
     w: Any
@@ -74,6 +77,7 @@ class Point:
     arclength: float = 0.0
     step: float = 0.0
     iterations: int = 0
+    critical: complex | None = None
 
     def value(self, name: str) -> float:
         """A quantity by name."""

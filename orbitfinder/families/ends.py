@@ -16,7 +16,7 @@ from orbitfinder.families.motion import full_samples
 from orbitfinder.families.passages import LOCATION
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
 from orbitfinder.families.rest import RestPoint, can_rest, rest_of, vanishing
-from orbitfinder.families.rest_problem import lyapunov, regular
+from orbitfinder.families.rest_problem import ROUND_OFF, first_lyapunov, regular
 from orbitfinder.families.run import Interval, Run, Walked, portrait
 from orbitfinder.families.saddles import SLOW, blown_up, near_saddle, rest_near, slowness
 from orbitfinder.families.start import return_gaps
@@ -195,10 +195,11 @@ def _leaving(run: Run, rest: RestPoint) -> str:
     model = with_parameters(run.curve.equations.model, {**run.origin.free, name: rest.value})
     problem = regular(at_rest(model, (name,), rest.state), rest.state, values)
     z = np.append(rest.state, np.zeros(problem.jets.extra))
-    coefficient, _ = lyapunov(problem, z, values, 2 * np.pi / rest.period)
+    coefficient, error, _ = first_lyapunov(problem, z, values, 2 * np.pi / rest.period, ROUND_OFF * problem.z_sizes)
+    side = "degenerate" if abs(coefficient) <= error else "supercritical" if coefficient < 0 else "subcritical"
     grown = int(np.count_nonzero(rest.others.real > 0))
     beside = f" beside {plural(grown, 'eigenvalue')} that grow" if grown else ""
-    return f"{'super' if coefficient < 0 else 'sub'}critical (l1 = {coefficient:.6g}){beside}"
+    return f"{side} (l1 = {coefficient:.6g}){beside}"
 
 
 def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import combinations
-from operator import attrgetter
+from functools import cached_property, partial
+from itertools import chain
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +16,34 @@ import numpy as np
 from orbitfinder._runtime import locks
 from orbitfinder._runtime.keeping import STOPPED, finished
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.continuation.follow import CurveJournal, Goals, KeptPoint, Pace, SolutionCurve, follow, rise, towards
+from orbitfinder.continuation.follow import (
+    CurveJournal,
+    Goals,
+    KeptPoint,
+    Pace,
+    SolutionCurve,
+    Test,
+    Tests,
+    follow,
+    rise,
+    towards,
+)
 from orbitfinder.continuation.problem import Point, plane, solved
+from orbitfinder.continuation.tests import Entries, Roots
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, Judge
 from orbitfinder.families.rest_problem import (
     AtRest,
-    Dense,
     Stacked,
-    eigenvalues,
     error_bars,
-    lyapunov,
+    first_lyapunov,
+    paired,
     regular,
     singular,
     solve_square,
+    spectrum,
+    squared,
 )
 from orbitfinder.families.rest_starts import first_equilibrium, refuse_moving
 from orbitfinder.integrate.evaluate import one_thread
@@ -40,8 +53,11 @@ from orbitfinder.mechanics.model import Model, check_state
 from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import End, Reading
 
-PACE = Pace(first=0.01, shortest=1e-9, longest=0.05, points=400, bend=0.95, quick=4, slow=7, located=1e-3, closed=True)
+PACE = Pace(first=0.01, shortest=1e-9, longest=0.05, points=400, bend=0.95, quick=4, slow=7, located=1e-6, closed=True)
 """Lengths are in the sizes of the state and of the parameter; events are solved for from where they are located"""
+PERFECT, APART = 100.0, 1e-4
+"""How many error bars of 0 the imperfection of a branch point is; events nearer to each other on the curve than this,
+and alike to their error bars, are the same"""
 LEAVING = (0.01, 0.002, 0.0004, 0.05)
 """How far from a branch point other equilibria are looked for; the first that succeeds is taken"""
 
@@ -153,7 +169,7 @@ def gone(
             runs.append((run := SolutionCurve(), way))
             file = path and path / f"equilibria{k or ''}.jsonl"
             journal = CurveJournal(way, file, {**request, "way": k}, way.leads)
-            for kept in follow(run, journal, way.begin, goals, pace, way.tests()):
+            for kept in follow(run, journal, way.begin, goals, pace, way.tests(), way.spectrum):
                 finished(record)
                 if progress:
                     progress(kept.record)
@@ -220,24 +236,32 @@ class Way:
         """Whether a journal's first point leads there."""
         return self.direction is not None or self.until is None or towards(point, self.parameter, self.until) > 0
 
-    def tests(self) -> Mapping[str, Callable[[Point], float]]:
+    def tests(self) -> Tests:
         """What vanishes at events."""
-        tests: dict[str, Callable[[Point], float]] = {
-            "fold": lambda point: rise(point, self.parameter), "branch_point": _border,
-        }  # fmt: skip
-        if not self.problem.jets.model.conservative:
-            tests["hopf"] = _pair
-        return tests
+        tests: dict[str, Test | Entries] = {"fold": lambda point: rise(point, self.parameter)}
+        return tests | {"branch_point": Entries.ROOTS} | ({} if self.paired else {"hopf": Entries.SUMS})
+
+    @cached_property
+    def paired(self) -> bool:
+        """Whether eigenvalues come in pairs +-lambda."""
+        model, names = self.problem.jets.model, self.judge.parameters
+        values = [model.parameter_values[model.parameter_index(name)] for name in names]
+        return paired(self.problem, Stacked(np.append(self.rest, values)))
+
+    def spectrum(self, point: Point) -> Roots:
+        """What crosses at events."""
+        return squared(_roots(point)) if self.paired else _roots(point)
 
     def record(self, point: Point) -> Equilibrium:
         """Certified."""
         z, p, _ = point.problem.parts(point.w)
-        return self.judge.record(point.problem, z, p, point.arclength * self.sign, _eigenvalues(point))
+        return self.judge.record(point.problem, z, p, point.arclength * self.sign, _roots(point))
 
     def write(self, point: Point, record: Equilibrium) -> Mapping[str, Any]:  # noqa: ARG002 - made again when read
         """Both in plain numbers."""
+        critical = point.critical and [point.critical.real, point.critical.imag]
         return {"w": point.w.vector, "tangent": point.tangent, "arclength": point.arclength, "step": point.step,
-                "sizes": point.problem.sizes, "pace": point.problem.pace}  # fmt: skip
+                "sizes": point.problem.sizes, "pace": point.problem.pace, "critical": critical}  # fmt: skip
 
     def read(self, entry: Mapping[str, Any]) -> tuple[Point, Equilibrium]:
         """Both from what was written."""
@@ -247,57 +271,54 @@ class Way:
             raise ValueError("a point of another size")
         problem = replace(self.problem, z_sizes=sizes[:count], p_sizes=sizes[count:], pace=float(entry["pace"]))
         problem = problem.at(Stacked(w), tangent)[0]
-        point = Point(problem, Stacked(w), tangent, float(entry["arclength"]), float(entry["step"]))
+        critical = complex(*entry["critical"]) if entry.get("critical") else None
+        lengths = float(entry["arclength"]), float(entry["step"])
+        point = Point(problem, Stacked(w), tangent, *lengths, critical=critical)
         return point, self.record(point)
 
     def special(self, run: SolutionCurve, kept: KeptPoint, index: int) -> RestEvent | None:
         """What is singular near a located point, solved for; None where it is nothing."""
-        problem, length = kept.point.problem, kept.point.arclength
+        problem, length, critical = kept.point.problem, kept.point.arclength, kept.point.critical
         z, p, _ = problem.parts(kept.point.w)
-        try:
-            extended, guess = singular(problem, z, p, kept.role)
-            w = solve_square(extended, guess)
-        except (ConvergenceError, np.linalg.LinAlgError):
+        solutions = list[tuple[float, str, AtRest, Stacked, np.ndarray]]()
+        for form in ("hopf",) if kept.role == "hopf" else ("fold", "branch_point"):
+            try:
+                extended, guess = singular(problem, z, p, form, critical)
+                w = solve_square(extended, guess)
+                bars = error_bars(extended, w)
+            except (ConvergenceError, np.linalg.LinAlgError):
+                continue
+            there, value, more = extended.parts(w)
+            if form == "branch_point" and abs(more[0]) > PERFECT * bars[extended.count]:
+                continue  # two curves that pass each other
+            gaps = np.append((there - z) / problem.z_sizes, (value - p) / problem.p_sizes)
+            solutions.append((float(np.abs(gaps).max() + bars[-1] / problem.p_sizes[0]), form, extended, w, bars))
+        if not solutions:
             return None
-        bars, count, d = error_bars(extended, w), extended.count, problem.jets.size
-        w = Stacked(np.where(np.abs(w.vector) <= bars, 0.0, w.vector))  # what is 0 to its error bar
-        z, p, _ = extended.parts(w)
-        if np.abs((z - kept.point.w.vector[:count]) / problem.z_sizes).max() > 1e-3:
+        away, form, extended, w, bars = min(solutions, key=itemgetter(0))
+        if away > 1e-3:
             return None  # another one
-        found = self.judge.record(problem, z, p, length * self.sign, eigenvalues(problem, z, p))
+        d, w = problem.jets.size, Stacked(np.where(np.abs(w.vector) <= bars, 0.0, w.vector))  # 0 to its error bar
+        z, p, _ = extended.parts(w)
+        found = self.judge.record(problem, z, p, length * self.sign, spectrum(problem, Stacked(np.append(z, p))))
         sides = [other.point for other in run.points if other.point.arclength < length][-1:]
         sides += [other.point for other in run.points if other.point.arclength > length][:1]
         secant = sides[-1].w.vector - sides[0].w.vector if len(sides) > 1 else kept.point.tangent
-        name, claimed, known = _told(kept.role, extended, w, bars, secant)
-        value = self.judge.flow(z[:d], float(p[0]), problem.z_sizes[:d], problem.pace, claimed)
-        check = Reading(value, CRITICAL, bool(value <= CRITICAL and found.residual <= RESIDUAL))
+        name, claimed, known = _told(form, extended, w, bars, secant)
+        flow = self.judge.flow(z[:d], float(p[0]), problem.z_sizes[:d], problem.pace, claimed)
+        check = Reading(flow, CRITICAL, bool(flow <= CRITICAL and found.residual <= RESIDUAL))
         return RestEvent(
             name, index, found.arclength, float(p[0]), float(bars[-1]), found.state, found.eigenvalues, check,
             critical=claimed, **known,
         )  # fmt: skip
 
 
-def _border(point: Point) -> float:
-    """The determinant of the equations and their tangent, 0 where two curves cross: its sign, a root of its size."""
-    problem = point.problem
-    linear: Dense = problem.linearise(point.w)[1]
-    return linear.determinant(problem.metric(point.w) * point.tangent, point.tangent)
-
-
-def _eigenvalues(point: Point) -> np.ndarray:
+def _roots(point: Point) -> Roots:
     """Those of a point, remembered with it."""
-    if "eigenvalues" not in point.w.known:
-        z, p, _ = point.problem.parts(point.w)
-        slopes = point.problem.linearise(point.w)[1].matrix[:, : z.size]
-        point.w.known["eigenvalues"] = eigenvalues(point.problem, z, p, slopes)
-    return np.asarray(point.w.known["eigenvalues"])
-
-
-def _pair(point: Point) -> float:
-    """The product of all sums of two eigenvalues: its sign, and the least of them in size."""
-    sums = [a + b for a, b in combinations(_eigenvalues(point).tolist(), 2)]
-    odd = sum(one.imag == 0.0 and one.real < 0.0 for one in sums) % 2  # the others come in pairs
-    return (-1.0 if odd else 1.0) * min(map(abs, sums), default=1.0) / float(point.problem.pace)
+    if "roots" not in point.w.known:
+        point.w.known["roots"] = spectrum(point.problem, point.w, point.tangent)
+    roots: Roots = point.w.known["roots"]
+    return roots
 
 
 def _told(
@@ -320,18 +341,13 @@ def _turning(
 ) -> dict[str, Any]:
     """Frequency, period, first Lyapunov coefficient with their error bars, and the criticality."""
     share = float(bars[3 * extended.count]) / (2 * kappa)
-    coefficient, q = lyapunov(extended, z, p, omega)
-    random = np.random.default_rng(0)
-    moved = [
-        lyapunov(extended, z + 1e6 * bars[: z.size] * random.uniform(-1, 1, z.size), p, omega)[0] for _ in range(4)
-    ]
-    error = float(np.abs(np.array(moved) - coefficient).max()) * 1e-5 + 1e-13 * abs(coefficient)
-    sure = abs(coefficient) > 10 * error
+    coefficient, error, q = first_lyapunov(extended, z, p, omega, bars[: z.size])
+    sure = abs(coefficient) > error
     period = 2 * np.pi / omega
     return {
         "frequency": omega, "period": period, "period_error": period * (share + 1e-15), "lyapunov": coefficient,
         "lyapunov_error": error, "direction": np.concatenate([q.real, q.imag]),
-        "criticality": ("supercritical" if coefficient < 0 else "subcritical") if sure else "",
+        "criticality": ("supercritical" if coefficient < 0 else "subcritical") if sure else "degenerate",
     }  # fmt: skip
 
 
@@ -366,7 +382,6 @@ def _record(called: tuple[str, str], curve: Mapping[str, Any], runs: list[tuple[
         for kept in run.events:
             index = max(int(np.searchsorted(lengths, kept.point.arclength * way.sign)) - 1, 0)
             events += [event] if (event := way.special(run, kept, index)) else []
-    events.sort(key=attrgetter("arclength"))
     ends, judge = tuple(run.end or End(STOPPED, "stopped") for run, _ in reversed(runs)), runs[0][1].judge
     system, parameter = dict(judge.model.system), judge.parameters[0]
     name, title = called
@@ -374,14 +389,14 @@ def _record(called: tuple[str, str], curve: Mapping[str, Any], runs: list[tuple[
 
 
 def _apart(events: list[RestEvent]) -> list[RestEvent]:
-    """Without folds that are branch points: of a branch that turns where it crosses another."""
-    groups: dict[str, list[RestEvent]] = {}
+    """Each once, also where several tests vanish."""
+    kept = dict[str, list[RestEvent]]()
     for event in events:
-        groups.setdefault(event.kind, []).append(event)
-    crossings = groups.get("branch_point", [])
-    double = [
-        fold for fold in groups.get("fold", []) for other in crossings
-        if abs(fold.parameter - other.parameter) <= 10 * (fold.error + other.error)
-        or abs(fold.arclength - other.arclength) < 1e-6
-    ]  # fmt: skip
-    return [event for event in events if not any(event is fold for fold in double)]
+        alike = kept.setdefault(event.kind, [])
+        if not any(
+            abs(event.arclength - other.arclength) < APART
+            and abs(event.parameter - other.parameter) <= 10 * (event.error + other.error)
+            and abs(event.critical - other.critical) <= 1e-6 * abs(other.critical) for other in alike
+        ):  # fmt: skip
+            alike.append(event)
+    return sorted(chain.from_iterable(kept.values()), key=attrgetter("arclength"))

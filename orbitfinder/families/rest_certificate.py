@@ -12,9 +12,11 @@ from math import isfinite
 
 import numpy as np
 from scipy.linalg.lapack import dgeev
+from scipy.optimize import linear_sum_assignment
 
+from orbitfinder.continuation.tests import Roots, decomposed, felt
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
-from orbitfinder.families.rest_problem import AtRest, state_sizes
+from orbitfinder.families.rest_problem import ROUND_OFF, AtRest, state_sizes
 from orbitfinder.integrate.dop853 import SECOND, integrate_in
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.evaluate import Buffered
@@ -24,8 +26,9 @@ from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, at_most, equal
 
-NEUTRAL, NOISE = 1e-9, 1e-14
-"""Eigenvalues whose real parts are this share of the largest are on the imaginary axis; components so small are 0"""
+NOISE, DIFFERED, EARLIER = 1e-14, 1e-9, 1e-9
+"""Components so small are 0; what slopes by differences are known to; real parts that are this share of the largest
+eigenvalue were 0 in files of earlier versions"""
 RESIDUAL, SLOPES, CRITICAL = 1e-12, 1e-7, 1e-8
 """What may be left of the rates, of the eigenvalues by differences and of a critical one by the flow, in the pace of
 the equilibrium and its sizes"""
@@ -35,11 +38,10 @@ STEPS, WEIGHTS = np.array([-3, -2, -1, 1, 2, 3]) / 3.0, np.array([-1.0, 9.0, -45
 """Of the sixth order, in `DIFFERENCE`s"""
 
 
-def stability(values: np.ndarray, pace: float) -> str:
-    """The verdict on eigenvalues: stable | unstable | neutral."""
-    least = NEUTRAL * max(pace, float(np.abs(values).max(initial=0.0)))
-    largest = float(values.real.max(initial=-np.inf))
-    return "unstable" if largest > least else "stable" if largest < -least else "neutral"
+def stability(values: np.ndarray, errors: np.ndarray) -> str:
+    """The verdict on eigenvalues with error bars: stable | unstable | neutral."""
+    real = values.real
+    return "unstable" if (real > errors).any() else "stable" if (real < -errors).all() else "neutral"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,35 +69,54 @@ class Judge:
         (y,), slopes = there(state[chosen], value)
         return y, sizes[chosen] @ np.abs(slopes)
 
-    def record(
-        self, problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, values: np.ndarray
-    ) -> Equilibrium:
+    def record(self, problem: AtRest, z: np.ndarray, p: np.ndarray, arclength: float, roots: Roots) -> Equilibrium:
         """An equilibrium with these eigenvalues, certified."""
         d, value = problem.jets.size, float(p[0])
         z = np.where(np.abs(z) <= NOISE * problem.z_sizes, 0.0, z)
-        values = np.array(sorted(values.tolist(), key=lambda one: (-one.real, -one.imag)), complex)
+        values = roots.values[np.lexsort((-roots.values.imag, -roots.values.real))]
         residual, slopes = self.left(z[:d], value, problem.z_sizes[:d], problem.pace, values)
         sure = bool(residual <= RESIDUAL and slopes <= SLOPES)
-        return Equilibrium(z[:d], value, values, stability(values, problem.pace), arclength, residual, sure)
+        return Equilibrium(z[:d], value, values, stability(roots.values, roots.errors), arclength, residual, sure)
 
     def left(
         self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray, pace: float, claimed: np.ndarray
     ) -> tuple[float, float]:
         """The largest rate in sizes and pace, and how far the claimed eigenvalues are from those of differences of the
         sixth order, relative to the pace: the least singular value of A - lambda, or the distance, which is larger."""
-        y, units = self._canonical(state, value, sizes)
-        _, rates_of, _, beside = self._equations
-        rates, d = rates_of(y + units * beside, value)[0] / (units * pace), y.size
-        slopes = (WEIGHTS @ rates[1:].reshape(6, d * d)).reshape(d, d).T / DIFFERENCE
-        upper, largest = claimed[claimed.imag >= 0] / pace, float(np.abs(rates[0]).max())  # of a pair either will do
+        rates, slopes = self._differences(state, value, sizes, pace)
+        upper, largest = claimed[claimed.imag >= 0] / pace, float(np.abs(rates).max())  # of a pair either will do
         if not isfinite(float(slopes.sum())):
             return largest, np.inf
         real, imaginary, *_ = dgeev(slopes, compute_vl=False, compute_vr=False)
         bound = float(np.abs(upper[:, None] - (real + 1j * imaginary)).min(axis=1).max(initial=0.0))
         if bound <= SLOPES:
             return largest, bound
-        shifted = slopes - upper[:, None, None] * np.eye(d)
+        shifted = slopes - upper[:, None, None] * np.eye(len(slopes))
         return largest, float(np.linalg.svd(shifted, compute_uv=False)[:, -1].max())
+
+    def _differences(
+        self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray, pace: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The rates in sizes and pace, and their slopes by differences of the sixth order."""
+        y, units = self._canonical(state, value, sizes)
+        _, rates_of, _, beside = self._equations
+        rates, d = rates_of(y + units * beside, value)[0] / (units * pace), y.size
+        return rates[0], (WEIGHTS @ rates[1:].reshape(6, d * d)).reshape(d, d).T / DIFFERENCE
+
+    def follows(self, point: Equilibrium, sizes: np.ndarray, pace: float) -> bool:
+        """Whether the verdict on stability does, from the eigenvalues of differences of the rates; where these leave it
+        open, from the recorded ones with error bars by the conditions of those."""
+        slopes = self._differences(point.state, point.value, sizes, pace)[1]
+        values, left, right = decomposed(slopes)
+        claimed, size = point.eigenvalues / pace, np.abs(slopes)
+        chosen = linear_sum_assignment(np.abs(claimed[:, None] - values))[1]
+        left, right = left[chosen], right[:, chosen]
+        bars = DIFFERED * felt(abs(left), size + 1e-3 * size.max(axis=1, keepdims=True), abs(right))
+        verdict = stability(values[chosen], bars)
+        if verdict == "neutral":
+            return point.stability in (verdict, stability(claimed, ROUND_OFF * felt(abs(left), size, abs(right))))
+        earlier = point.stability == "neutral" and claimed.real.max() <= EARLIER
+        return earlier or point.stability == verdict
 
     def flow(
         self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray, pace: float, claimed: complex
@@ -120,7 +141,7 @@ def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
     for point in every:
         pace, flow = float(np.abs(point.eigenvalues).max(initial=0.0)) or 1.0, 0.0
         if isinstance(point, Equilibrium):
-            value, fault = point.value, point.stability != stability(point.eigenvalues, pace)
+            value, fault = point.value, not judge.follows(point, sizes, pace)
         else:
             value, fault = point.parameter, not point.consistent
             flow = judge.flow(point.state, value, sizes, pace, point.critical)

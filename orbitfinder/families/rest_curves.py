@@ -23,8 +23,9 @@ from typing import Any, Self
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero, size_of
-from orbitfinder.continuation.follow import KeptPoint, SolutionCurve, advanced, towards
+from orbitfinder.continuation.follow import KeptPoint, SolutionCurve, Tests, advanced, towards
 from orbitfinder.continuation.problem import Point, solved
+from orbitfinder.continuation.tests import Entries, Roots
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families import equilibria as rest
 from orbitfinder.families import rest_certificate as certificate
@@ -71,13 +72,16 @@ Vanishing = Callable[[AtRest, Stacked], float]
 """What is 0 at a special point, of a solution w"""
 
 
-def _others(problem: AtRest, w: Stacked) -> np.ndarray:
-    """The eigenvalues that are not critical, in the pace."""
-    values, root = equations.eigenvalues(problem, *problem.parts(w)[:2]) / problem.pace, 0.0 + 0.0j
+def _others(problem: AtRest, w: Stacked, tangent: np.ndarray | None = None) -> Roots:
+    """The eigenvalues that are not critical (1/s)."""
+    roots, critical = equations.spectrum(problem, w, tangent), [0.0 + 0.0j]
     if problem.form == "hopf":
-        root = np.sqrt(complex(-w.vector[3 * problem.count]))
-        values = np.delete(values, np.argmin(np.abs(values + root)))
-    return np.delete(values, np.argmin(np.abs(values - root)))
+        root = np.sqrt(complex(-w.vector[3 * problem.count])) * problem.pace
+        critical = [-root, root]
+    kept = np.arange(roots.values.size)
+    for root in critical:
+        kept = np.delete(kept, np.argmin(np.abs(roots.values[kept] - root)))
+    return roots.chosen(kept)
 
 
 def _least(numbers: np.ndarray) -> float:
@@ -86,7 +90,7 @@ def _least(numbers: np.ndarray) -> float:
 
 
 def _sums(problem: AtRest, w: Stacked) -> float:
-    values = _others(problem, w)
+    values = _others(problem, w).values / problem.pace
     i, j = np.triu_indices(values.size, 1)
     return _least(values[i] + values[j])
 
@@ -129,9 +133,13 @@ def _first(problem: AtRest, w: Stacked) -> float:
 TESTS: Mapping[str, Mapping[str, Vanishing]] = {
     "fold": {"cusp": _cusp, "bogdanov_takens": _double, "fold_hopf": _sums},
     "hopf": {"bogdanov_takens": _double, "generalised_hopf": _first, "double_hopf": _sums,
-             "fold_hopf": lambda problem, w: _least(_others(problem, w))},
+             "fold_hopf": lambda problem, w: _least(_others(problem, w).values / problem.pace)},
 }  # fmt: skip
 """By the form of the curve: what vanishes at its points of codimension two"""
+ENTRIES: Mapping[str, Mapping[str, Entries]] = {
+    "fold": {"fold_hopf": Entries.SUMS}, "hopf": {"double_hopf": Entries.SUMS, "fold_hopf": Entries.ROOTS},
+}  # fmt: skip
+"""Those of them that are entries of the spectrum of what is not critical"""
 
 
 def _length(problem: AtRest, w: Stacked) -> float:
@@ -224,17 +232,22 @@ class _Track(rest.Way):
     def leads(self, point: Point) -> bool:
         return self.until is None or towards(point, self.parameter, self.until) > 0
 
-    def tests(self) -> Mapping[str, Callable[[Point], float]]:
-        known, conservative = TESTS[self.problem.form].items(), self.judge.model.conservative
-        return {role: partial(_value, test) for role, test in known if role == "cusp" or not conservative}
+    def tests(self) -> Tests:
+        form = self.problem.form
+        known = {role: ENTRIES[form].get(role) or partial(_value, test) for role, test in TESTS[form].items()}
+        alone = equations.paired(self.problem, Stacked(self.rest))
+        return {role: test for role, test in known.items() if role == "cusp" or not alone}
+
+    def spectrum(self, point: Point) -> Roots:
+        return _others(point.problem, point.w, point.tangent)
 
     def record(self, point: Point) -> Equilibrium:
         problem, w = point.problem, point.w
         left = equations.SETTINGS.round_off * problem.sizes  # by the corrector
         z, p, more = problem.parts(Stacked(np.where(np.abs(w.vector) <= left, 0.0, w.vector)))
-        values, d = equations.eigenvalues(problem, z, p), problem.jets.size
+        values, d, others = equations.spectrum(problem, w).values, problem.jets.size, _others(problem, w)
         kind = "neutral_saddle" if problem.form == "hopf" and more[-1] <= 0 else problem.form
-        verdict = certificate.stability(_others(problem, w) * problem.pace, problem.pace)
+        verdict = certificate.stability(others.values, others.errors)
         known = Equilibrium(
             z[:d], float(p[0]), values[np.lexsort((-values.imag, -values.real))], verdict, point.arclength * self.sign,
             kind=kind, values=p, normal_form=NORMAL[kind](problem, w),

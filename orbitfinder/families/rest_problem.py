@@ -14,15 +14,17 @@ goes through 0 the curve goes on, as one of neutral saddles. Sources: A. Griewan
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isfinite, prod, sqrt
+from math import isfinite, sqrt
 from typing import Any, Self
 
 import numpy as np
-from scipy.linalg.lapack import dgeev, dgetrf, dgetrs
+from scipy.linalg.lapack import dgetrf, dgetrs
 
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.continuation.tests import Roots, decomposed, felt
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.jets import Jets
 from orbitfinder.mechanics.model import Model
@@ -39,6 +41,9 @@ AHEAD, UNDAMPED = 1.25, 1e-7
 share of the largest eigenvalue are none, imaginary ones the round-off of a double 0"""
 ROUND_OFF = 4 * float(np.finfo(float).eps)
 """What each row is known to, relative to the sizes of its terms"""
+SIMPLE, DISTURBED, BESIDE, CORRECTED = 1e-9, 1e-8, 1e-5, 10.0
+"""y x of a simple eigenvalue is larger; how far apart places are, in sizes, that say what slopes change by within error
+bars; half of a central difference of slopes along a curve; a solution is known to so many of its next corrections"""
 
 
 class Stacked:
@@ -59,37 +64,14 @@ class Dense:
 
     def __init__(self, matrix: np.ndarray, sizes: np.ndarray) -> None:
         self.matrix, self.sizes = matrix, sizes
-        self._last: tuple[Any, ...] = ()
 
     def closed(self, rows: np.ndarray) -> Solver:
         """See `continuation.problem.Linear`."""
-        factors, pivots, fault = self._factorised(rows)
+        own = (rows * self.sizes).reshape(-1, self.sizes.size)
+        factors, pivots, fault = dgetrf(np.concatenate([self.matrix, own]))
         if fault:
             raise ConvergenceError("the equations of rest are singular")
-        self._last = factors, pivots, rows
         return lambda right: np.asarray(-dgetrs(factors, pivots, right)[0] * self.sizes)
-
-    def determinant(self, row: np.ndarray, along: np.ndarray) -> float:
-        """Of the same matrix with a last row r: its sign, a root of its size; `along` u with r.u = 1 is what the others
-        leave free.
-
-        A determinant is linear in r, and so in r.u alone: what was factorised with another last row tells it.
-        """
-        if not self._last:
-            factors, pivots, fault = self._factorised(row)
-            self._last = factors, pivots, row[None]
-            if fault:
-                return 0.0
-        factors, pivots, last = self._last
-        diagonal, share = factors.diagonal().tolist(), float(last[-1] @ along) or 1.0
-        moved = sum(place != k for k, place in enumerate(pivots.tolist()))
-        odd = (moved + sum(value < 0 for value in (*diagonal, share))) % 2
-        size: float = prod(abs(value) ** (1.0 / len(diagonal)) for value in (*diagonal, 1.0 / share))
-        return -size if odd else size
-
-    def _factorised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        own = (rows * self.sizes).reshape(-1, self.sizes.size)
-        return dgetrf(np.concatenate([self.matrix, own]))  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,25 +371,65 @@ def without_noise(problem: AtRest, z: np.ndarray, p: np.ndarray) -> np.ndarray:
     return np.where(np.abs(z) <= np.maximum(bars, ROUND_OFF * problem.z_sizes), 0.0, z)
 
 
-def eigenvalues(problem: AtRest, z: np.ndarray, p: np.ndarray, slopes: np.ndarray | None = None) -> np.ndarray:
-    """Of the linearised flow (1/s), those that integrals, constraints and symmetries make 0 left out."""
-    d, jets = problem.jets.size, problem.jets
-    gz = problem.scaled(z, p)[1] if slopes is None else slopes
-    a = gz[:d, :d]
-    if gz.shape[0] > d:
-        units = problem.z_sizes[:d]
-        rows = np.vstack([gz[d:, :d], jets.generators(z[:d], p)[1] * units])
+def spectrum(problem: AtRest, w: Stacked, tangent: np.ndarray | None = None) -> Roots:
+    """The eigenvalues of the linearised flow (1/s) at a solution, those that integrals, constraints and symmetries make
+    0 left out; without a tangent (over w) they have no slopes, and the solution's error bars are at its parameters.
+
+    Error bars are those of round-off in A, of the eigenvalue's own computation, and of the solution. Raises
+    `ConvergenceError`.
+    """
+    d, jets, (z, p, _) = problem.jets.size, problem.jets, problem.parts(w)
+    basis = np.eye(d)
+    if problem.count > d:
+        rows = np.vstack([problem.scaled(z, p)[1][d:, :d], jets.generators(z[:d], p)[1] * problem.z_sizes[:d]])
         _, values, right = np.linalg.svd(rows)
         basis = right[np.count_nonzero(values > 1e-9 * values.max(initial=0.0)) :]
-        a = basis @ a @ basis.T
-    real, imaginary, *_, fault = dgeev(a, compute_vl=False, compute_vr=False)
-    if fault:
-        raise ConvergenceError("the eigenvalues of an equilibrium do not converge")
-    return np.asarray((real + 1j * imaginary) * problem.pace)
+
+    def slopes(w: Stacked) -> np.ndarray:
+        return np.asarray(basis @ problem.scaled(*problem.parts(w)[:2])[1][:d, :d] @ basis.T)
+
+    a, change = slopes(w), np.zeros(len(basis))
+    values, left, right = decomposed(a)
+    step = ROUND_OFF * np.abs(w.vector) * np.resize([1.0, -1.0], w.vector.size)
+    with contextlib.suppress(ConvergenceError):
+        if problem.form == "regular":  # a correction more, by what is left of the rows
+            across = np.eye(w.vector.size)[-1] if tangent is None else problem.metric(w) * tangent
+            rows, linear = problem.linearise(w)
+            step += CORRECTED * linear.closed(across[None])(np.append(rows, 0.0))
+    more = DISTURBED / nonzero(float(np.abs(step / problem.sizes).max()))
+    unsure = 4 * ROUND_OFF * np.abs(a) + np.abs(slopes(w.moved(more * step)) - a) / more
+    missed = np.abs(felt(left, a, right) - values)
+    errors = felt(abs(left), unsure, abs(right)) + np.where(np.abs(left).max(axis=1) < 1 / SIMPLE, missed, 0.0)
+    if tangent is not None:
+        before, after = (slopes(w.moved(side * BESIDE * tangent)) for side in (-1.0, 1.0))
+        change = felt(left, (after - before) / (2 * BESIDE), right)
+    return Roots(values * problem.pace, change * problem.pace, basis.T @ right, errors * problem.pace)
 
 
-def singular(problem: AtRest, z: np.ndarray, p: np.ndarray, form: str) -> tuple[AtRest, Stacked]:
-    """The problem of what is singular near an equilibrium, and a guess of it."""
+def paired(problem: AtRest, w: Stacked) -> bool:
+    """Whether eigenvalues come in pairs +-lambda: those of a conservative system where its energy is level do."""
+    model = problem.jets.model
+    if model.rates is None or not model.conservative:
+        return model.conservative
+    roots = spectrum(problem, w)
+    sums = np.abs(roots.values[:, None] + roots.values).min(axis=1, initial=np.inf)
+    return bool(sums.max(initial=0.0) <= 2 * roots.errors.max(initial=0.0))
+
+
+def squared(roots: Roots) -> Roots:
+    """The squares of eigenvalues that come in pairs +-lambda, half of them."""
+    order = np.lexsort((roots.values.real, roots.values.imag))[roots.values.size // 2 :]
+    half = roots.chosen(order)
+    values, errors = half.values**2, (2 * np.abs(half.values) + half.errors) * half.errors
+    values = np.where(np.abs(values.imag) <= errors, values.real, values)
+    return replace(half, values=values, slopes=2 * half.values * half.slopes, errors=errors)
+
+
+def singular(
+    problem: AtRest, z: np.ndarray, p: np.ndarray, form: str, critical: complex | None = None
+) -> tuple[AtRest, Stacked]:
+    """The problem of what is singular near an equilibrium, and a guess of it, by the critical eigenvalue (1/s) if there
+    is any."""
     gz = problem.scaled(z, p)[1]
     left, _, right = np.linalg.svd(gz)
     if form == "fold":
@@ -417,7 +439,13 @@ def singular(problem: AtRest, z: np.ndarray, p: np.ndarray, form: str) -> tuple[
         psi = left[:, -1]
         return replace(problem, form=form, c=psi), Stacked(np.concatenate([z, [0.0], psi, p]))
     values, vectors = _pencil(gz, problem.mass)
-    i, j = critical_pair(values)
+    if critical is None:
+        i, j = critical_pair(values)
+    else:  # the conjugate, or the opposite if it is real
+        i = int(np.argmin(np.abs(values - critical / problem.pace)))
+        away = np.abs(values - (values[i].conj() if values[i].imag else -values[i]))
+        away[i] = np.inf
+        j = int(np.argmin(away))
     turning = abs(values[i].imag) >= abs(values[i].real)
     kappa = float(abs(values[i] * values[j])) * (1.0 if turning else -1.0)
     if kappa > 0:  # q = a + i omega b
@@ -500,8 +528,8 @@ def solve_square(problem: AtRest, guess: Stacked) -> Stacked:
     return solved.w
 
 
-def lyapunov(problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float) -> tuple[float, np.ndarray]:
-    """The first Lyapunov coefficient of a Hopf point of frequency omega (rad/s), and q.
+def lyapunov(problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float) -> tuple[float, np.ndarray, float]:
+    """The first Lyapunov coefficient of a Hopf point of frequency omega (rad/s), q, and the size of the terms.
 
     l1 = Re [<p, C(q, q, q*)> - 2 <p, B(q, A^-1 B(q, q*))> + <p, B(q*, (2 i omega - A)^-1 B(q, q))>] / 2 omega.
     """
@@ -518,5 +546,18 @@ def lyapunov(problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float) -> tup
         return np.asarray(units * np.linalg.solve(matrix, np.append(right, np.zeros(len(problem.phase))) / rows))
 
     mean, double = solved(gz, second @ q.conj()), solved(2 * turn * mass - gz, second @ q)
-    terms = third @ q.conj() - 2 * second @ mean + second.conj() @ double
-    return float((weight.conj()[: terms.size] @ terms).real / (2 * omega)), q[:d]
+    terms = np.array([third @ q.conj(), -2 * second @ mean, second.conj() @ double])
+    parts = (weight.conj()[: terms.shape[1]] * terms) / (2 * omega)
+    return float(parts.sum().real), q[:d], float(np.abs(parts).sum())
+
+
+def first_lyapunov(
+    problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float, bars: np.ndarray
+) -> tuple[float, float, np.ndarray]:
+    """The first Lyapunov coefficient at an equilibrium with these error bars, its own error bar, and q."""
+    coefficient, q, terms = lyapunov(problem, z, p, omega)
+    bars, random = np.maximum(bars, ROUND_OFF * problem.z_sizes), np.random.default_rng(0)
+    more = DISTURBED / float(np.abs(bars / problem.z_sizes).max())
+    moved = [lyapunov(problem, z + more * bars * random.uniform(-1, 1, z.size), p, omega)[0] for _ in range(4)]
+    error = 10 * float(np.abs(np.array(moved) - coefficient).max()) / more + 1e-12 * terms
+    return coefficient, error, q

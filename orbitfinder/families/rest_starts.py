@@ -17,7 +17,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.equilibrium import Equilibrium
 from orbitfinder.families.rest_certificate import NOISE, Judge
-from orbitfinder.families.rest_problem import AtRest, eigenvalues, regular, without_noise
+from orbitfinder.families.rest_problem import AtRest, Stacked, regular, spectrum, without_noise
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.jets import Jets, at_rest
 from orbitfinder.mechanics.model import Model
@@ -161,7 +161,7 @@ def find_equilibria(
             z = np.concatenate([centre + away, z[low.size :]])
             z = without_noise(problem, np.where(np.abs(z) <= ZERO * sizes, 0.0, z), value)
             own = regular(jets, z[: low.size], value)
-            there.append(judge.record(own, z, value, 0.0, eigenvalues(own, z, value)))
+            there.append(judge.record(own, z, value, 0.0, spectrum(own, Stacked(np.append(z, value)))))
     return sorted(there, key=lambda rest: tuple(rest.state))
 
 

@@ -21,8 +21,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.motion import rates_along
 from orbitfinder.families.point import extents, freed, parameter_value
 from orbitfinder.families.rest import ROUND_OFF, can_rest
-from orbitfinder.families.rest_problem import eigenvalues as eigenvalues_at
-from orbitfinder.families.rest_problem import error_bars, regular, singular, solve_square
+from orbitfinder.families.rest_problem import Stacked, error_bars, regular, singular, solve_square, spectrum
 from orbitfinder.families.run import Run, Walked
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.loops.continued import Curve, Solution
@@ -325,4 +324,4 @@ def _saddle_node(run: Run, step: Walked, state: np.ndarray, grown: str, more: st
         f"{grown} towards a saddle-node on the cycle, of equilibria at q = {where}, at {name} {value:.12g} "
         f"(+- {error:.1g}); by 1 / T^2 it is at {towards:.9g} (+- {bar:.1g}){more}"
     )
-    return _end(step, "saddle-node", reason, (value, error), [(x, eigenvalues_at(problem, z, p))])
+    return _end(step, "saddle-node", reason, (value, error), [(x, spectrum(problem, Stacked(np.append(z, p))).values)])

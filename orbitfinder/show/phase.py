@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from orbitfinder.continuation.tests import decomposed, felt
 from orbitfinder.errors import InputError
 from orbitfinder.families.rest_certificate import stability
 from orbitfinder.integrate.jets import Jets
@@ -23,11 +24,11 @@ from orbitfinder.show.style import arrows, dress, legend, line_style, new_figure
 from orbitfinder.show.svg import COLOURS, axis
 from orbitfinder.structures.phase_response import PhaseResponse
 
-MOST, ARROWS, CELLS, FINE, RESTS = 4, 20, 60, 300, {
+MOST, ARROWS, CELLS, FINE, KNOWN, RESTS = 4, 20, 60, 300, 1e-9, {
     "stable": ("o", "black"), "unstable": ("o", "white"), "saddle": ("D", "white"), "neutral": ("s", "0.6"),
 }  # fmt: skip
-"""Components drawn; on an axis: arrows, points between which equilibria are looked for, and those of nullclines; marker
-and filling of equilibria"""
+"""Components drawn; on an axis: arrows, points between which equilibria are looked for, and those of nullclines; what
+slopes are known to, relative to them; marker and filling of equilibria"""
 
 
 def save_phase_figure(curve: PhaseResponse, folder: str | Path, model: Model) -> list[Path]:
@@ -129,7 +130,8 @@ def _rests(model: Model, low: np.ndarray, high: np.ndarray) -> list[tuple[np.nda
         rest = equilibrium(linearised, start, high - low)
         again = any(np.abs((rest.w - other) / (high - low)).max() < 1e-6 for other, _ in rests)
         if rest.converged and not again and np.all((rest.w >= low) & (rest.w <= high)):
-            values = np.linalg.eigvals(linearised(rest.w)[1])
-            word = stability(values, float(np.abs(values).max()))
+            slopes = linearised(rest.w)[1]
+            values, left, right = decomposed(slopes)
+            word = stability(values, KNOWN * felt(abs(left), abs(slopes), abs(right)))
             rests.append((rest.w, "saddle" if np.prod(values).real < 0 else word))
     return rests

@@ -1,0 +1,224 @@
+"""Roots along a curve: two hundred random fields against eigenvalues on a fine grid, and cases in closed form.
+
+The grid is this file's own: NumPy's eigenvalues of slopes written here, counted. Rule for what the grid cannot say,
+written before it was run: a place of the grid where the number of unstable eigenvalues changes by more than one event
+accounts for, and events on either side of it that are nearer to each other than `BLIND` cells, are left out of both
+lists; they may be no more than one in fifty.
+"""
+
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import orbitfinder as of
+from orbitfinder.errors import ConvergenceError
+
+FINER, CELLS, BLIND, SPAN = 40, 20000, 2, (-0.4, 0.9)
+KINDS = ("crossing", "equal", "nearly equal", "out and back", "real and pair", "two real", "split", "split at once")
+
+
+class Planted:
+    """x' = S [D(p) y + Q(y, y) - |y|^2 y], y = S^-1 (x - c(p)): rest at c(p), with the eigenvalues of the blocks D.
+
+    S has a condition of at most 10, so that round-off moves growths by less than what goes out and back within the gap.
+    """
+
+    def __init__(self, seed):
+        random = np.random.default_rng(seed)
+        self.kind = KINDS[seed % len(KINDS)]
+        self.gap = 1e-3 * random.uniform(0.5, 1.5)
+        self.first = p1 = random.uniform(0.0, 0.5)
+        least = {"out and back": 2, "two real": 2, "split": 2, "split at once": 2, "real and pair": 3}.get(self.kind, 4)
+        self.size = max(least, int(random.integers(2, 7)))
+        p2, (w1, w2), (r1, r2) = p1 + self.gap, random.uniform(0.5, 4.0, 2), random.uniform(0.5, 2.0, 2)
+        w2 = {"equal": w1, "nearly equal": w1 * (1 + 1e-3)}.get(self.kind, w2)
+        self.blocks = {
+            "out and back": [self.pair(lambda p: r1 * (p - p1) * (p2 - p), w1)],
+            "real and pair": [self.pair(lambda p: r1 * (p - p1), w1), [[lambda p: r2 * (p2 - p)]]],
+            "two real": [[[lambda p: r1 * (p - p1)]], [[lambda p: r2 * (p2 - p)]]],
+            "split": [[[lambda p: r1 * (p - p1), lambda p: 1.0], [lambda p: p2 - p - 0.1, lambda p: r1 * (p - p1)]]],
+            "split at once": [[[lambda p: -1.0, lambda p: 1.0], [lambda p: r1 * (p - p1), lambda p: -1.0]]],
+        }.get(self.kind, [self.pair(lambda p: r1 * (p - p1), w1), self.pair(lambda p: r2 * (p2 - p), w2)])
+        fill = random.uniform(-2.0, -0.6, self.size - sum(map(len, self.blocks)))
+        self.blocks += [[[lambda p, value=value: value]] for value in fill]
+        left, right = (np.linalg.qr(random.normal(size=(self.size, self.size)))[0] for _ in range(2))
+        self.shape = left * random.uniform(1.0, 10.0, self.size) @ right
+        self.bent = 0.3 * random.normal(size=(self.size,) * 3)
+        self.rest = random.normal(size=(3, self.size))
+
+    @staticmethod
+    def pair(growth, turn):
+        return [[growth, lambda p: -turn], [lambda p: turn, growth]]
+
+    def slopes(self, p):
+        whole, k = np.zeros((self.size, self.size)), 0
+        for block in self.blocks:
+            for i, row in enumerate(block):
+                for j, entry in enumerate(row):
+                    whole[k + i, k + j] = entry(p)
+            k += len(block)
+        return self.shape @ whole @ np.linalg.inv(self.shape)
+
+    def at(self, p):
+        return self.rest[0] + p * self.rest[1] + p**2 * self.rest[2]
+
+    def model(self):
+        inverse = np.linalg.inv(self.shape)
+
+        def rates(_, x, p):
+            y = ca.DM(inverse) @ (ca.vertcat(*(x[k] for k in range(self.size))) - self.at(p[0]))
+            found, k = [], 0
+            for block in self.blocks:
+                found += [sum(entry(p[0]) * y[k + j] for j, entry in enumerate(row)) for row in block]
+                k += len(block)
+            found = ca.vertcat(*(found[k] + y.T @ ca.DM(self.bent[k]) @ y for k in range(self.size)))
+            whole = ca.DM(self.shape) @ (found - ca.dot(y, y) * y)
+            return [whole[k] for k in range(self.size)]
+
+        return of.ode(rates, [f"x{k}" for k in range(self.size)], parameters={"p": SPAN[0]})
+
+    def by_brute_force(self):
+        grid = np.linspace(*SPAN, CELLS + 1)
+        return counted(grid, np.linalg.eigvals(np.array([self.slopes(p) for p in grid])), 1.0 / CELLS)
+
+    def found(self):
+        return of.follow_equilibria(self.model(), self.at(SPAN[0]), "p", until=SPAN[1])
+
+
+class Generic:
+    """x' = (A + p B) x + Q(x, x) + 2 tanh(T x) - 0.3 x^3 + p u + 0.3 v."""
+
+    def __init__(self, seed):
+        random = np.random.default_rng(seed)
+        self.size = n = int(random.integers(2, 7))
+        shapes = (n, n), (n, n), (n, n, n), (n, n), (n,), (n,)
+        weights = (1.0, 1.0, 0.5, 1.0, 1.0, 1.0)
+        self.parts = [w * random.normal(size=shape) for w, shape in zip(weights, shapes, strict=True)]
+
+    def rates_and_slopes(self, w):
+        (a, b, q, t, u, v), x, p = self.parts, w[:, :-1], w[:, -1:]
+        bent = np.tanh(x @ t.T)
+        rates = x @ a.T + p * (x @ b.T) + np.einsum("ijk,nj,nk->ni", q, x, x) + 2 * bent - 0.3 * x**3 + p * u + 0.3 * v
+        slopes = a + p[:, :, None] * b + np.einsum("ijk,nk->nij", q + q.transpose(0, 2, 1), x)
+        slopes = slopes + 2 * (1 - bent**2)[:, :, None] * t - 0.9 * x[:, :, None] ** 2 * np.eye(self.size)
+        return rates, slopes, x @ b.T + u
+
+    def model(self):
+        a, b, q, t, u, v = self.parts
+
+        def rates(_, x, p):
+            x = ca.vertcat(*(x[k] for k in range(self.size)))
+            square = ca.vertcat(*(x.T @ ca.DM(q[k]) @ x for k in range(self.size)))
+            found = (a + p[0] * b) @ x + square + 2 * ca.tanh(t @ x) - 0.3 * x**3 + p[0] * u + 0.3 * v
+            return [found[k] for k in range(self.size)]
+
+        return of.ode(rates, [f"x{k}" for k in range(self.size)], parameters={"p": 0.0})
+
+    def found(self, points):
+        return of.follow_equilibria(self.model(), np.full(self.size, 0.1), "p", points=points)
+
+    def by_brute_force(self, places):
+        """Between places on the curve, own corrections on planes across their chords."""
+        shares = (np.arange(FINER) / FINER)[:, None]
+        along = (places[1:] - places[:-1])[:, None]
+        start = np.vstack([(places[:-1, None] + shares * along).reshape(-1, self.size + 1), places[-1:]])
+        rows = np.vstack([np.repeat(along[:, 0], FINER, axis=0), along[-1]])
+        w = start.copy()
+        for _ in range(10):
+            rates, slopes, by_p = self.rates_and_slopes(w)
+            matrix = np.concatenate([np.concatenate([slopes, by_p[:, :, None]], axis=2), rows[:, None]], axis=1)
+            left = np.column_stack([rates, np.sum(rows * (w - start), axis=1)])
+            w = w - np.linalg.solve(matrix, left[:, :, None])[:, :, 0]
+        assert np.abs(self.rates_and_slopes(w)[0]).max() < 1e-9
+        cells = np.linalg.norm(w[1:] - w[:-1], axis=1)
+        return counted(w, np.linalg.eigvals(self.rates_and_slopes(w)[1]), np.append(cells, cells[-1])), w
+
+
+def counted(grid, values, cells):
+    """(kind, number of the cell) where unstable eigenvalues become one or two more or less, and blind cells."""
+    number = np.count_nonzero(values.real > 0, axis=1)
+    found, blind = [], []
+    for k in np.flatnonzero(np.diff(number)):
+        near = values[k][np.argsort(np.abs(values[k].real))[:2]]
+        pair = abs(near[0].imag) > 0 and np.isclose(near[0], near[1].conj())
+        change = abs(int(number[k + 1] - number[k]))
+        kind = "hopf" if change == 2 and pair else "zero" if change == 1 else None
+        (found if kind else blind).append((kind, int(k)))
+    return found, [k for _, k in blind]
+
+
+def agreed(wanted, blind, got):
+    """Both lists (kind, cell) less what the grid is blind to: nothing is missed or invented; how many, how many not."""
+    cells = sorted([k for _, k in wanted] + blind)
+    near = {k for a, b in pairwise(cells) if b - a <= BLIND for k in (a, b)} | set(blind)
+    hidden = [event for event in wanted if event[1] in near]
+    clear = [event for event in wanted if event[1] not in near]
+    left = [event for event in got if not any(abs(event[1] - k) <= BLIND + 1 for k in near)]
+    for kind, k in clear:
+        close = [event for event in left if event[0] == kind and abs(event[1] - k) <= 2]
+        assert close, ("missed", kind, k, wanted, got)
+        left.remove(min(close, key=lambda event: abs(event[1] - k)))
+    assert not left, ("invented", left, wanted)
+    return len(clear), len(hidden)
+
+
+def kinds(found):
+    return [("hopf" if event.kind == "hopf" else "zero", event) for event in found.events
+            if event.kind != "neutral_saddle"]  # fmt: skip
+
+
+def balanced(found):
+    """Unstable eigenvalues before and after each stretch with events differ as these say."""
+    number = [int(np.count_nonzero(point.eigenvalues.real > 0)) for point in found.points]
+    for k, (a, b) in enumerate(pairwise(number)):
+        steps = [2 if kind == "hopf" else 1 for kind, event in kinds(found) if event.index == k]
+        if a != b or steps:
+            assert (b - a - sum(steps)) % 2 == 0 and abs(b - a) <= sum(steps), (k, a, b, steps)
+
+
+def planted(seed):
+    """One of the fields whose eigenvalues are planted."""
+    field = Planted(seed)
+    found = field.found()
+    assert all(point.certified for point in found.points) and all(event.check.passed for event in found.events)
+    wanted, blind = field.by_brute_force()
+    width = (SPAN[1] - SPAN[0]) / CELLS
+    got = [(kind, int((event.parameter - SPAN[0]) / width)) for kind, event in kinds(found)]
+    balanced(found)
+    return agreed(wanted, blind, got)
+
+
+def generic(seed, points=60):
+    """One of the fields about which nothing is known."""
+    field = Generic(seed)
+    try:
+        found = field.found(points)
+    except ConvergenceError:
+        return 0, 0  # a motion from there goes on for ever
+    assert all(point.certified for point in found.points) and all(event.check.passed for event in found.events)
+    places = np.array([[*point.state, point.value] for point in found.points])
+    (wanted, blind), w = field.by_brute_force(places)
+    got = []
+    for kind, event in kinds(found):  # in which of the cells of its stretch it is
+        own = slice(event.index * FINER, (event.index + 1) * FINER + 1)
+        along = (places[event.index + 1] - places[event.index]) @ (w[own] - [*event.state, event.parameter]).T
+        got.append((kind, event.index * FINER + int(np.clip(np.searchsorted(along, 0.0) - 1, 0, FINER - 1))))
+    balanced(found)
+    return agreed(wanted, blind, got)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_dozen_random_fields(seed):
+    """Planted ones and others in turn."""
+    planted(seed) if seed % 3 else generic(seed, 15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(10))
+def test_two_hundred_random_fields(part):
+    """Of 2 to 6 components, half of them with two events a thousandth apart: none missed, none invented."""
+    seeds = range(1000 + 10 * part, 1010 + 10 * part)
+    counts = np.array([each for seed in seeds for each in (planted(seed), generic(seed))])
+    assert counts[:, 0].sum() > 15 and 50 * counts[:, 1].sum() <= counts.sum()
