@@ -6,16 +6,23 @@ accounts for, and events on either side of it that are nearer to each other than
 lists; they may be no more than one in fifty.
 """
 
+from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
 import orbitfinder as of
+from orbitfinder.continuation.tests import Entries, Roots, crossings, matched
 from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.rest_certificate import verified
+from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.problemfile.read import load_problem_file
 
-FINER, CELLS, BLIND, SPAN = 40, 20000, 2, (-0.4, 0.9)
+DATA = Path(__file__).parent / "data"
+FINER, CELLS, BLIND, SPAN = 40, 10000, 2, (-0.2, 0.7)
 KINDS = ("crossing", "equal", "nearly equal", "out and back", "real and pair", "two real", "split", "split at once")
 
 
@@ -222,3 +229,125 @@ def test_two_hundred_random_fields(part):
     seeds = range(1000 + 10 * part, 1010 + 10 * part)
     counts = np.array([each for seed in seeds for each in (planted(seed), generic(seed))])
     assert counts[:, 0].sum() > 15 and 50 * counts[:, 1].sum() <= counts.sum()
+
+
+def two_pairs(gap, w, v, start):
+    """Two pairs of frequencies w and v, one out at p = 1/2 and one in a gap later."""
+
+    def rates(_, s, p):
+        x, y, q, r = (s[k] for k in range(4))
+        a, b = p[0] - 0.5, 2 * (0.5 + gap - p[0])
+        return [a * x - w * y - x * (x**2 + y**2), w * x + a * y - y * (x**2 + y**2),
+                b * q - v * r - q * (q**2 + r**2), v * q + b * r - r * (q**2 + r**2)]  # fmt: skip
+
+    return of.ode(rates, ["x", "y", "q", "r"], parameters={"p": start})
+
+
+@pytest.mark.parametrize(("w", "v"), [(1.0, 3.0), (1.0, 1.0), (1.0, 1.0001), (2.0, 0.5)])
+@pytest.mark.parametrize("gap", [2e-2, 1e-3, 1e-5])
+def test_a_pair_goes_out_and_another_comes_in(gap, w, v):
+    """Wherever the steps end; frequencies equal, nearly equal, and apart."""
+    for start in (0.4, 0.47):
+        found = of.follow_equilibria(two_pairs(gap, w, v, start), [0.0] * 4, "p", until=0.6)
+        assert [event.kind for event in found.events] == ["hopf", "hopf"], start
+        assert np.allclose([event.parameter for event in found.events], [0.5, 0.5 + gap], rtol=0, atol=1e-12)
+        assert np.allclose([event.frequency for event in found.events], [w, v], 1e-12)
+        assert [event.criticality for event in found.events] == ["supercritical"] * 2
+
+
+def test_the_command_says_both():
+    """The file of the review: two Hopf points at 0.5 and 0.501, between two points that are both unstable."""
+    problem = load_problem_file(DATA / "two-hopf-points.toml")
+    found = of.follow_equilibria(problem.model, [0.0] * 4, "p", until=1.0)
+    assert [event.kind for event in found.events] == ["hopf", "hopf"]
+    assert [event.parameter for event in found.events] == pytest.approx([0.5, 0.501], abs=1e-13)
+
+
+@pytest.mark.slow
+def test_a_diagram_shows_what_leaves_both():
+    """A family from each, at its period."""
+    tree = of.diagram(load_problem_file(DATA / "two-hopf-points.toml").model, [0.0] * 4, "p", 1.0)
+    families = [curve.record for curve in tree.curves if curve.depth]
+    periods = sorted(min(point.period for point in family.points) for family in families)
+    assert periods == pytest.approx([2 * np.pi / 3, 2 * np.pi], rel=1e-6)
+
+
+@pytest.mark.parametrize("fast", [1e3, 1e8, 1e9, 1e12])
+def test_a_verdict_is_by_each_eigenvalue_and_not_by_the_largest(fast):
+    """mu +- i beside -L: stable below 0, unstable above, however large L is; and a verdict that is none is seen."""
+    model = load_problem_file(DATA / "stiff-hopf.toml").model
+    model = with_parameters(model, {"L": fast})
+    found = of.follow_equilibria(model, [0.0] * 3, "mu", until=0.3)
+    assert [event.kind for event in found.events] == ["hopf"] and abs(found.events[0].parameter) < 1e-12
+    assert all(point.stability == ("stable" if point.value < 0 else "unstable") for point in found.points)
+    assert verified(found, model).passed
+    other = replace(found, points=(replace(found.points[0], stability="unstable"), *found.points[1:]))
+    assert verified(other, model).failures == ("verdicts",)
+
+
+def network(fast, a=1.0, rate=1.5):
+    """A Brusselator fed by u, in fast exchange with v: u + v is declared, u = a at rest."""
+    return of.ode(
+        lambda t, s, p: [s[2] - (p[0] + 1) * s[0] + s[0] ** 2 * s[1], p[0] * s[0] - s[0] ** 2 * s[1],
+                         fast * (s[3] - s[2]), fast * (s[2] - s[3])],
+        ["x", "y", "u", "v"], parameters={"rate": rate}, invariants={"total": lambda s, p: s[2] + s[3]},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("fast", [1.0, 1.35e9])
+def test_a_network_with_a_declared_total(fast):
+    """Its total is no energy: a Hopf point at rate 1 + a^2, and verdicts, also beside a spectral radius of 2.7e9."""
+    found = of.follow_equilibria(network(fast), [1.0, 1.5, 1.0, 1.0], "rate", until=2.5)
+    assert [(event.kind, round(event.parameter, 6)) for event in found.events] == [("hopf", 2.0)]
+    assert all(point.stability == ("stable" if point.value < 2 else "unstable") for point in found.points)
+
+
+def test_a_sign_below_its_error_is_no_sign():
+    """r' = mu r + b r^3 - r^5: l1 is b / 1, and degenerate where that is 0 or noise."""
+    for b, word in ((0.0, "degenerate"), (2e-67, "degenerate"), (1e-3, "subcritical"), (-1e-3, "supercritical")):
+
+        def rates(_, s, p, b=b):
+            x, y, square = s[0], s[1], s[0] ** 2 + s[1] ** 2
+            growth = p[0] + (1 + b) * square - square * (1 - 1e-17) - square**2
+            return [growth * x - y, growth * y + x]
+
+        (event,) = of.follow_equilibria(
+            of.ode(rates, ["x", "y"], parameters={"mu": -0.2}), [0.0, 0.0], "mu", 0.2
+        ).events
+        assert event.kind == "hopf" and event.criticality == word, b
+
+
+def along(values, start, end):
+    """Roots of a diagonal matrix by functions of s, their derivatives, and unit vectors, between two places."""
+    d = len(values(0.0))
+
+    def look(share):
+        s = start + share * (end - start)
+        slopes = (values(s + 1e-6) - values(s - 1e-6)) / 2e-6
+        return Roots(values(s), slopes, np.eye(d), np.full(d, 1e-14), 2 * np.pi)
+
+    return look, (look(0.0), look(1.0)), end - start
+
+
+def test_multipliers_are_entered_as_their_logarithms():
+    """Two pairs of one angle, one out and one in; -1 crossed by one of two that meet on the negative axis."""
+    look, ends, length = along(lambda s: np.array([s + 1j, s - 1j, 0.01 - s + 1j, 0.01 - s - 1j]), -0.3, 0.4)
+    crossed = crossings(look, ends, length, (Entries.SUMS,))
+    places = [-0.3 + 0.7 * np.array(one.within) for one in crossed]
+    assert len(crossed) == 2 and places[0][0] <= 0.0 <= places[0][1] and places[1][0] <= 0.01 <= places[1][1]
+
+    def flipped(s):  # mu^2 + 1.9 mu + 0.9 + s: a pair until they meet at -0.95, then real; one goes through -1 at s = 0
+        return np.log(np.roots([1.0, 1.9, 0.9 + s]).astype(complex))
+
+    look, ends, length = along(flipped, 0.05, -0.05)
+    (crossing,) = crossings(look, ends, length, (Entries.ROOTS,))
+    assert abs(crossing.value(look(0.5 + 1e-9), 0.5, length)[1].imag) == np.pi
+    assert crossing.within[0] <= 0.5 <= crossing.within[1]
+
+
+def test_what_predictions_match_positions_do_not():
+    """Two roots that pass each other between two places: by positions none crosses."""
+    first = Roots(np.array([-1e-3, 1e-3]) + 1j, np.array([0.1, -0.1]) + 0j, np.eye(2), np.full(2, 1e-15))
+    second = Roots(np.array([-1e-3, 1e-3]) + 1j, np.array([-0.1, 0.1]) + 0j, np.eye(2)[:, ::-1], np.full(2, 1e-15))
+    there, sure = matched(first, second, 0.02)
+    assert sure and np.array_equal(there.values.real, [1e-3, -1e-3])

@@ -518,7 +518,11 @@ class _Arclength:
             test = partial(value, crossing)
             event = located(before, after, lambda point: test(point)[0], crossing.within, self.pace.located)  # noqa: B023
             if event is not None:
-                events.append(self.trace.kept(kinds[crossing.kind], replace(event, critical=test(event)[1])))
+                events.append(
+                    self.trace.kept(
+                        kinds[Entries(crossing.entry[0] != crossing.entry[1])], replace(event, critical=test(event)[1])
+                    )
+                )
         return events
 
     def failed(self, reason: str) -> _Line:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
-from enum import Enum, auto
+from enum import IntEnum
 from math import inf
 
 import numpy as np
@@ -52,15 +52,8 @@ class Roots:
 
     def chosen(self, order: np.ndarray) -> Roots:
         """Those of these numbers, in this order."""
-        return replace(
-            self, values=self.values[order], slopes=self.slopes[order], vectors=self.vectors[:, order],
-            errors=self.errors[order],
-        )  # fmt: skip
-
-    @property
-    def unstable(self) -> np.ndarray:
-        """Which are beyond the boundary, outside their error bars."""
-        return np.asarray(self.values.real > self.errors)
+        parts = ("values", "slopes", "vectors", "errors")
+        return replace(self, **{part: getattr(self, part)[..., order] for part in parts})
 
     def apart(self, differences: np.ndarray) -> np.ndarray:
         """Sizes of differences of roots."""
@@ -103,16 +96,16 @@ def matched(first: Roots, second: Roots, length: float) -> tuple[Roots, bool]:
     order = linear_sum_assignment(cost)[1]
     cost, second = cost[:, order], second.chosen(order)
     own, exchanged = np.diag(cost), cost + cost.T
-    a, b = first.unstable, second.unstable
+    a, b = (roots.values.real > roots.errors for roots in (first, second))
     other = (a[:, None] != a) & (b[:, None] != b)
     return second, not bool(np.any(other & (exchanged <= ALTERNATIVE * (own[:, None] + own))))
 
 
-class Entries(Enum):
+class Entries(IntEnum):
     """The entries of a spectrum: its roots, or the sums of two of them."""
 
-    ROOTS = auto()
-    SUMS = auto()
+    ROOTS = 0
+    SUMS = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,11 +115,6 @@ class Crossing:
     within: tuple[float, float]
     entry: np.ndarray
     ends: tuple[Roots, Roots]
-
-    @property
-    def kind(self) -> Entries:
-        """What it is an entry of."""
-        return Entries.ROOTS if self.entry[0] == self.entry[1] else Entries.SUMS
 
     def value(self, roots: Roots, share: float, length: float) -> tuple[float, complex]:
         """How far beyond its error bar the sum is by the roots at a share of the step, matched from the nearer end;
@@ -147,7 +135,7 @@ def crossings(
     """
     events, looks, size = list[Crossing](), 0, ends[0].values.size
     labels = np.column_stack(np.triu_indices(size))
-    labels = labels[[(Entries.ROOTS if i == j else Entries.SUMS) in kinds for i, j in labels]]
+    labels = labels[np.isin(labels[:, 0] != labels[:, 1], list(kinds))]
     todo = [(0.0, 1.0, *ends, np.full(size, inf), 0)]
     while todo:
         low, high, first, second, wrong, depth = todo.pop()

@@ -85,8 +85,8 @@ def _others(problem: AtRest, w: Stacked, tangent: np.ndarray | None = None) -> R
 
 
 def _least(numbers: np.ndarray) -> float:
-    """The least in size, with the sign of their product, which is real."""
-    return float(np.sign(np.prod(numbers / nonzero(np.abs(numbers))).real) * np.abs(numbers).min(initial=1.0))
+    """The real part of the least in size."""
+    return float(min(numbers, key=abs, default=1.0).real)
 
 
 def _sums(problem: AtRest, w: Stacked) -> float:

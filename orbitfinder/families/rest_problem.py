@@ -362,12 +362,11 @@ def state_sizes(model: Model, largest: np.ndarray) -> np.ndarray:
 
 def without_noise(problem: AtRest, z: np.ndarray, p: np.ndarray) -> np.ndarray:
     """z with 0 for what is 0 to the error bars of a regular equilibrium."""
-    gz = np.abs(problem.scaled(z, p)[1])
+    w = Stacked(np.append(z, p))
     try:
-        inverse = np.abs(np.linalg.inv(problem.scaled(z, p)[1]))
+        bars = error_bars(problem, w, np.eye(w.vector.size)[-1])[: z.size]
     except np.linalg.LinAlgError:
         return z
-    bars = inverse @ (ROUND_OFF * (gz @ np.abs(z / problem.z_sizes))) * problem.z_sizes
     return np.where(np.abs(z) <= np.maximum(bars, ROUND_OFF * problem.z_sizes), 0.0, z)
 
 
@@ -430,6 +429,7 @@ def singular(
 ) -> tuple[AtRest, Stacked]:
     """The problem of what is singular near an equilibrium, and a guess of it, by the critical eigenvalue (1/s) if there
     is any."""
+    problem = problem.paced(abs(critical)) if form == "hopf" and critical else problem
     gz = problem.scaled(z, p)[1]
     left, _, right = np.linalg.svd(gz)
     if form == "fold":
