@@ -18,7 +18,9 @@ import pytest
 import orbitfinder as of
 
 CYCLE = {"x": "x*(1 - x^2 - y^2) - y", "y": "y*(1 - x^2 - y^2) + x"}
-MISSED = pytest.mark.xfail(strict=True, reason="one engine: a product over multipliers keeps its sign")
+MISSED = pytest.mark.xfail(
+    strict=True, raises=AssertionError, reason="one engine: a product over multipliers keeps its sign"
+)
 
 
 def pair(u, v, a, w):

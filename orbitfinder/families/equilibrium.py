@@ -23,7 +23,8 @@ class Equilibrium(Shown):
         state: x (d), rates 0.
         value: of the parameter.
         eigenvalues: of the slopes of f (1/s), those that an integral or a constraint makes 0 left out.
-        stability: stable | unstable | neutral (all on the imaginary axis, or left of it).
+        stability: stable | unstable | neutral (all on the imaginary axis, or left of it), real parts compared with the
+            error bar of each eigenvalue by its own condition.
         arclength: along the curve.
         residual: largest rate by other equations, in the equilibrium's own sizes and pace.
         certified: whether that, and the eigenvalues from differences of those, agree.
@@ -73,7 +74,8 @@ class RestEvent(Shown):
         lyapunov: the first Lyapunov coefficient, <p, q> = <q, q> = 1, divided by 2 omega (Yu. Kuznetsov, Elements of
             Applied Bifurcation Theory (2004), section 5.4).
         lyapunov_error: its error bar.
-        criticality: supercritical | subcritical | "" where the coefficient is not known from 0.
+        criticality: supercritical | subcritical | degenerate, where the coefficient is 0 to its error bar ("" in files of
+            earlier versions).
         critical: the eigenvalue that it is told by.
         direction: of branch points the other branch's, over (x, p); of Hopf points Re q and Im q.
         values: of both parameters, along a curve in two.

@@ -23,7 +23,7 @@ from typing import Any, Self
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero, size_of
-from orbitfinder.continuation.follow import KeptPoint, SolutionCurve, Tests, advanced, towards
+from orbitfinder.continuation.follow import KeptPoint, SolutionCurve, Test, Tests, advanced, towards
 from orbitfinder.continuation.problem import Point, solved
 from orbitfinder.continuation.tests import Entries, Roots
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
@@ -234,9 +234,9 @@ class _Track(rest.Way):
 
     def tests(self) -> Tests:
         form = self.problem.form
-        known = {role: ENTRIES[form].get(role) or partial(_value, test) for role, test in TESTS[form].items()}
+        known: dict[str, Test | Entries] = {role: partial(_value, test) for role, test in TESTS[form].items()}
         alone = equations.paired(self.problem, Stacked(self.rest))
-        return {role: test for role, test in known.items() if role == "cusp" or not alone}
+        return {role: test for role, test in (known | ENTRIES[form]).items() if role == "cusp" or not alone}
 
     def spectrum(self, point: Point) -> Roots:
         return _others(point.problem, point.w, point.tangent)

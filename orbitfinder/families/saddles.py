@@ -324,4 +324,4 @@ def _saddle_node(run: Run, step: Walked, state: np.ndarray, grown: str, more: st
         f"{grown} towards a saddle-node on the cycle, of equilibria at q = {where}, at {name} {value:.12g} "
         f"(+- {error:.1g}); by 1 / T^2 it is at {towards:.9g} (+- {bar:.1g}){more}"
     )
-    return _end(step, "saddle-node", reason, (value, error), [(x, spectrum(problem, Stacked(np.append(z, p))).values)])
+    return _end(step, "saddle-node", reason, (value, error), [(x, spectrum(rest, Stacked(np.append(z, p))).values)])
