@@ -74,8 +74,8 @@ class RestEvent(Shown):
         lyapunov: the first Lyapunov coefficient, <p, q> = <q, q> = 1, divided by 2 omega (Yu. Kuznetsov, Elements of
             Applied Bifurcation Theory (2004), section 5.4).
         lyapunov_error: its error bar.
-        criticality: supercritical | subcritical | degenerate, where the coefficient is 0 to its error bar ("" in files of
-            earlier versions).
+        criticality: supercritical | subcritical | degenerate, where the coefficient is 0 to its error bar ("" in
+            files of earlier versions).
         critical: the eigenvalue that it is told by.
         direction: of branch points the other branch's, over (x, p); of Hopf points Re q and Im q.
         values: of both parameters, along a curve in two.

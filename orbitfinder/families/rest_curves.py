@@ -136,7 +136,7 @@ TESTS: Mapping[str, Mapping[str, Vanishing]] = {
              "fold_hopf": lambda problem, w: _least(_others(problem, w).values / problem.pace)},
 }  # fmt: skip
 """By the form of the curve: what vanishes at its points of codimension two"""
-ENTRIES: Mapping[str, Mapping[str, Entries]] = {
+ENTRIES: Mapping[str, Mapping[str, Test | Entries]] = {
     "fold": {"fold_hopf": Entries.SUMS}, "hopf": {"double_hopf": Entries.SUMS, "fold_hopf": Entries.ROOTS},
 }  # fmt: skip
 """Those of them that are entries of the spectrum of what is not critical"""
@@ -235,8 +235,9 @@ class _Track(rest.Way):
     def tests(self) -> Tests:
         form = self.problem.form
         known: dict[str, Test | Entries] = {role: partial(_value, test) for role, test in TESTS[form].items()}
+        known.update(ENTRIES[form])
         alone = equations.paired(self.problem, Stacked(self.rest))
-        return {role: test for role, test in (known | ENTRIES[form]).items() if role == "cusp" or not alone}
+        return {role: test for role, test in known.items() if role == "cusp" or not alone}
 
     def spectrum(self, point: Point) -> Roots:
         return _others(point.problem, point.w, point.tangent)
