@@ -20,6 +20,7 @@ from orbitfinder.cli.jobs import folder_of, model_of, named_orbits, whole_family
 from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, numbers, option, picked, text, usual
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.certificate import certified
+from orbitfinder.records.ends import stuck
 from orbitfinder.records.family import Batch, Event, number_of
 from orbitfinder.records.registry import held, member
 
@@ -143,7 +144,8 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
         next_step("continue", folder / "family.json", "--switch", places[0])
     else:
         next_step("page", folder, "-o site")
-    finish("continue", summary(family) | {"at": asked, "written": [folder / "family.json", *written]})
+    document = summary(family) | {"at": asked, "written": [folder / "family.json", *written]}
+    finish("continue", document, not stuck(family))
 
 
 READ = (

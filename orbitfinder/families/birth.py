@@ -13,25 +13,28 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.equilibrium import Equilibria, RestEvent
 from orbitfinder.families.handover import rescued
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.rest_problem import oscillations, regular
+from orbitfinder.families.rest_problem import ROUND_OFF, AtRest, eigenvalues, lyapunov, oscillations, regular
 from orbitfinder.families.start import FIRST_STEPS, Start, begin, corrected, curve_at, unknown_parameters
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.integrate.march import Gridded, March, uniform
-from orbitfinder.loops.continued import advanced, plane
+from orbitfinder.loops.continued import plane
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import NONE, named
 from orbitfinder.mechanics.kind import build_model, loops_of, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import energy as energy_of
-from orbitfinder.mechanics.scales import LEAST_SHARE
 from orbitfinder.orbits.method import begins
 from orbitfinder.orbits.method import named as method_named
 from orbitfinder.records.family import Event
 
-AMPLITUDES, INTERVALS = (0.02, 0.005, 0.001, 0.05), 40
-"""Of the first cycle, in the sizes of the equilibrium, the first that succeeds is taken; of its mesh of collocation"""
+GROWTH, SHARE, INTERVALS, HALVINGS = 1e-3, 0.02, 40, 12
+"""Of the first cycle x + 2 Re(w q) + ...: what motions grow by in a radian, |l1| |w|^2, in sizes of the equilibrium its
+amplitude where no normal form tells it; the intervals of its mesh of collocation; how often it is halved"""
+LEAST, MOST, NEAR = 1e-6, 0.05, 0.1
+"""What is not linear of the rates along a first cycle, relative to what is, without a normal form at least and always
+at most; a cycle that is found belongs to a Hopf point where period and critical eigenvalue are as near as this"""
 
 
 def cycle_start(
@@ -42,10 +45,11 @@ def cycle_start(
     Raises `ConvergenceError` where none is found.
     """
     born, name = equilibria.events[number], equilibria.parameter
+    if abs(born.parameter) < ROUND_OFF * max(abs(point.value) for point in equilibria.points):
+        born = replace(born, parameter=0.0)
     model = with_parameters(model or build_model(equilibria.system), {name: born.parameter})
     unknown_parameters(model, replace(settings, parameter=name))
-    largest = np.abs([point.state for point in equilibria.points]).max(axis=0)
-    start = _first(model, name, born, largest, settings.method)
+    start = _first(model, name, born, settings.method)
     return start, Event(born.kind, number, born.arclength, born.parameter, born.state, born.period, float("nan"))
 
 
@@ -68,8 +72,9 @@ def mode_start(
                          "is 1")  # fmt: skip
     omega, q, n = float(frequencies[mode - 1]), shapes[:, mode - 1], model.degrees_of_freedom
     largest = (q / problem.z_sizes[: q.size])[:n]
-    largest = largest[np.abs(largest).argmax()]  # at rest where it is largest
-    state, period = rest.state + AMPLITUDES[0] * (q / largest).real, 2 * np.pi / omega
+    q = q / largest[np.abs(largest).argmax()]  # at rest where it is largest
+    size = _fitting(problem, rest.state, value, q, omega, SHARE, LEAST)
+    state, period = rest.state + size * q.real, 2 * np.pi / omega
     if model.constraint is not None:
         own = hamilton(model).coordinates
         state = loops_of(model.system).state(model, near=state[own.chosen[: own.size]])
@@ -78,32 +83,58 @@ def mode_start(
     return start, Event("mode", -1, rest.arclength, energy, rest.state, period, energy)
 
 
-def _first(model: Model, name: str, born: RestEvent, largest: np.ndarray, method: str | None) -> Start:
+def _fitting(
+    problem: AtRest, state: np.ndarray, values: np.ndarray, q: np.ndarray, omega: float, size: float, least: float
+) -> float:
+    """The amplitude a, by halving and doubling a `size`, at which the rates along x + a Re(q e^(i theta)) are linear
+    but for a share of `least` to `MOST` of their part in q; the size itself where no doubling comes to `least`."""
+    z, turn = np.pad(state, (0, problem.jets.extra)), omega / problem.pace
+    u, gz = np.pad(q, (0, problem.jets.extra)) / problem.z_sizes, problem.scaled(z, values)[1]
+    shifted = gz - (1 + 1e-7) * 1j * turn * np.diag(problem.mass)
+    weight = np.linalg.solve(shifted.conj().T, u).conj()  # q's part among equal eigenvalues too
+    weight = 2 / (turn * (weight @ (problem.mass * u))) * weight
+
+    def bent(size: float) -> float:
+        steps = (size * (u * turned).real for turned in np.exp(0.25j * np.pi * np.arange(8)))
+        rows = [problem.scaled(z + step * problem.z_sizes, values)[0] - gz @ step for step in steps]
+        return float(np.abs(rows @ weight).max()) / size
+
+    with np.errstate(all="ignore"):
+        size = next((size * 2.0**k for k in range(64) if not bent(size * 2.0**k) < least), size)
+        return next((size / 2.0**k for k in range(64) if bent(size / 2.0**k) <= MOST), size)
+
+
+def _first(model: Model, name: str, born: RestEvent, method: str | None) -> Start:
     """The first cycle, away from its birth, by a method; None: by shooting, or what rescues where that fails."""
     if method and begins(method):
-        return _cycle(model, name, born, largest, method_named(method).march)
+        return _cycle(model, name, born, method_named(method).march)
     try:
-        return _cycle(model, name, born, largest, March)
+        return _cycle(model, name, born, March)
     except ConvergenceError as error:
         other = None if method else rescued(model, born.state, born.period)
         if other is None:
             raise
-        return replace(_cycle(model, name, born, largest, other.march), why=f"by shooting {error}")
+        return replace(_cycle(model, name, born, other.march), why=f"by shooting {error}")
 
 
-def _cycle(model: Model, name: str, born: RestEvent, largest: np.ndarray, by: type[March]) -> Start:
+def _cycle(model: Model, name: str, born: RestEvent, by: type[March]) -> Start:
     """The same by one of them."""
-    real, imaginary = np.split(born.direction, 2)
-    gridded = issubclass(by, Gridded)
-    q, count = real + 1j * imaginary, INTERVALS if gridded else 1
-    q = q / np.abs(q / np.where(largest > 0, largest, LEAST_SHARE * largest.max() or 1.0)).max()
+    gridded, value = issubclass(by, Gridded), np.array([born.parameter])
+    problem = regular(at_rest(model, (name,), born.state), born.state, value)
+    z, count = np.pad(born.state, (0, problem.jets.extra)), INTERVALS if gridded else 1
+    _, _, q, mean, double = lyapunov(problem, z, value, born.frequency)
+    size, least = SHARE / float(np.abs(q / problem.z_sizes[: q.size]).max()), LEAST
+    if born.criticality:
+        size, least = 2 * float(np.sqrt(GROWTH / abs(born.lyapunov))), 0.0
+    size = _fitting(problem, born.state, value, q, born.frequency, size, least)
     equations, why = Equations.of(model, named(NONE.name, model), (name,), by), "none was tried"
     mesh = uniform(1.0, count, 1 if gridded else FIRST_STEPS)
-    nodes, turning = np.repeat(born.state[None], count, axis=0), np.exp(2j * np.pi * np.arange(count)[:, None] / count)
-    still = equations.unknowns(nodes, born.period, mesh, np.array([born.parameter]))
-    direction = np.concatenate([(q * turning).real.ravel(), np.zeros(still.vector.size - still.nodes.size)])
-    for amplitude in AMPLITUDES:
-        guess = advanced(still, direction, amplitude)
+    turning = np.exp(2j * np.pi * np.arange(count)[:, None] / count)
+    for amplitude in size / 2.0 ** np.arange(HALVINGS):
+        bent = (amplitude / 2) ** 2 * (mean + (double * turning**2).real)
+        nodes = born.state + amplitude * (q * turning).real + bent
+        guess = equations.unknowns(nodes, born.period, mesh, value)
+        direction = np.pad((q * turning).real.ravel(), (0, guess.vector.size - nodes.size))
         try:
             curve = curve_at(equations, guess)
             start = corrected(curve, guess, plane(curve, guess, direction), guess, reach=10.0)
@@ -112,7 +143,9 @@ def _cycle(model: Model, name: str, born: RestEvent, largest: np.ndarray, by: ty
             continue
         place, metric = start.solution.place, start.curve.scales.states**-2.0
         moved = metric * (place.nodes[0] - born.state)
-        if moved @ q.real > 0:
+        critical = eigenvalues(problem, z, place.free) / born.frequency
+        off = max(abs(place.period / born.period - 1), float(np.abs(critical - 1j).min()))
+        if moved @ q.real > 0 and off < NEAR:
             return start if start.direction[: q.size] @ moved >= 0 else replace(start, direction=-start.direction)
-        why = "what is found there is the equilibrium"
+        why = f"what is found there is the equilibrium, or a cycle at {name} = {place.free[0]:.6g} that is not near"
     raise ConvergenceError(f"no cycle was found at the Hopf point at {name} = {born.parameter:.9g}: {why}")

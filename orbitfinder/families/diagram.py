@@ -32,7 +32,7 @@ from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, Check, at_most, equal
 from orbitfinder.records.codec import Codec
-from orbitfinder.records.ends import end_kind
+from orbitfinder.records.ends import end_kind, stuck
 from orbitfinder.records.family import JOURNAL, End, Event, Family, load_family, reached, save_family
 from orbitfinder.records.journal import refuse_other
 from orbitfinder.records.reading import write_atomically
@@ -479,7 +479,9 @@ class _Tree:
         became, words = "followed", _told(curve, k)
         try:
             for file, follow in self.beside(curve, k):
-                self.add(DiagramCurve(file, curve.depth + 1, curve.file, k, follow()))
+                self.add(DiagramCurve(file, curve.depth + 1, curve.file, k, record := follow()))
+                if why := stuck(record):
+                    became, words = "failed", f"{words}: {why}"
         except (ConvergenceError, IntegrationError) as error:
             became, words = "failed", f"{words}: {error}"
         return self.over(curve, k, became, words)

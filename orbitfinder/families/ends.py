@@ -204,8 +204,8 @@ def _leaving(run: Run, rest: RestPoint) -> str:
 
 def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is the one before half a period later, as behind an equilibrium."""
-    (first, extents, here), (other, _, there) = (about_mean(curve, each) for each in (before, solution))
-    weights = np.where(extents > 0.0, extents, np.inf) ** -2.0  # what does not move says nothing
+    (first, _, here), (other, _, there) = (about_mean(curve, each) for each in (before, solution))
+    weights = curve.scales.states**-2.0  # in their extents what does not move is noise
     alike = np.einsum("kd,kd->d", first, other) @ weights
     return bool(alike < SHRINKING.turned * np.sqrt((here @ weights) * (there @ weights)))
 
@@ -253,7 +253,9 @@ def end_of_failure(run: Run, step: Walked, failure: str) -> End:
     if dead:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
     size, far = _extent_and_place(curve, solution)
-    if size < 10 * LEAST * far and linear(curve, solution, SHRINKING.nearly):
+    first, last = np.linalg.norm(step.portraits[[0, -1], -curve.equations.size :] / curve.scales.states, axis=1)
+    shrunk = last < SHRINKING.smaller * first and size < 10 * LEAST * far
+    if shrunk and linear(curve, solution, SHRINKING.nearly):
         return _at_equilibrium(run, solution)
     if (end := _canard(run, step, failure)) is not None:
         return end

@@ -33,19 +33,19 @@ from orbitfinder.families.run import (
     Sample,
     Walked,
     ahead,
+    checked_point,
     make_interval,
     make_sample,
     standing_of,
     step_at,
     step_from,
 )
-from orbitfinder.families.stability import Spectrum
 from orbitfinder.loops.block import Ahead, Blocks, Pacing
 from orbitfinder.loops.condensed import combined
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Solution, advanced, correct, distance, plane, tangent
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.loops.mesh import carried, refined, regraded, settled
+from orbitfinder.loops.mesh import carried, regraded, settled
 from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import UNKNOWN, Batch, End, Event, FamilyPoint, Standing, reached
 
@@ -53,8 +53,6 @@ SHORTEST_SEARCH = 1e-3
 """Steps longer than this are repeated at half their length when an event in them cannot be located."""
 PREDICTION = 3e-3
 """How far from the family, in its metric, the predicted orbit should be."""
-REFINEMENTS = 2
-"""How often the mesh of an orbit that does not close is made finer before its step is made shorter."""
 ECHO = 1e-2
 """Arclength before a junction of two families within which nothing else is reported."""
 ROUND_OFF = 1e-15
@@ -130,7 +128,8 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
     }
     if solution is not raw:
         whole = tangent(curve, solution, carried(curve, raw.place, whole, solution.place))
-    point, kept, whole = _checked_point(run, solution, whole, where, last.about if solution is raw else None)
+    about = last.about if solution is raw else None
+    point, kept, whole = checked_point(curve, solution, whole, settings.parameter, run.check, about, **where)
     point = replace(point, wall_time=time.perf_counter() - began)
     known = ahead.accepted if ahead is not None and kept is raw else None
     if known is None and blocks is not None:
@@ -160,23 +159,6 @@ def _corrected(run: Run, before: Walked, length: float, nearly: Unknowns | None 
         raise ConvergenceError(f"the period changes by {stretch:.2g} within one step")
     missed = distance(curve, guess, raw.place)
     return Ahead(place, length, raw, whole, turn, stretch, missed, pacing(run).next(length, turn, stretch, missed))
-
-
-def _checked_point(
-    run: Run, solution: Solution, whole: np.ndarray, where: dict[str, Any], about: Spectrum | None
-) -> tuple[FamilyPoint, Solution, np.ndarray]:
-    """The point of a corrected place, its orbit and tangent, on a finer mesh where it does not close on this one."""
-    name = run.settings.parameter
-    along = solution.place.head_of(whole)
-    for trial in range(REFINEMENTS + 1):
-        try:
-            return make_point(run.curve, solution, along, name, run.check, about=about, **where), solution, whole
-        except ConvergenceError:
-            if trial == REFINEMENTS:
-                raise
-            finer, about = refined(run.curve, solution, whole), None
-            solution, whole = finer, carried(run.curve, solution.place, whole, finer.place)
-    raise AssertionError("unreachable")
 
 
 def _batch(run: Run, before: Walked, after: Walked, last: Sample) -> Batch:

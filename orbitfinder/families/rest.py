@@ -80,8 +80,7 @@ def vanishing(curve: Curve, sample: Sample, length: float) -> float:
     solution = sample.solution
     _, here, weights = deviations(curve, solution.place, solution.march.states)
     _, there, _ = deviations(curve, *predicted(curve, sample, length))
-    units = np.ptp(here, axis=0)
-    units = np.where(units > 0.0, units, np.inf)  # what does not move says nothing
+    units = curve.scales.states  # in their extents what does not move is noise
     share = float(np.sum(weights @ (here / units * (there / units))) / np.sum(weights @ (here / units) ** 2))
     return length / (1.0 - share) if share < 1.0 else np.inf
 

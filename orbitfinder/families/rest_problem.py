@@ -528,8 +528,11 @@ def solve_square(problem: AtRest, guess: Stacked) -> Stacked:
     return solved.w
 
 
-def lyapunov(problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float) -> tuple[float, np.ndarray, float]:
-    """The first Lyapunov coefficient of a Hopf point of frequency omega (rad/s), q, and the size of the terms.
+def lyapunov(
+    problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float
+) -> tuple[float, float, np.ndarray, np.ndarray, np.ndarray]:
+    """The first Lyapunov coefficient of a Hopf point of frequency omega (rad/s), the size of its terms, and q, h11,
+    h20 (d) of its motions x + 2 Re(w q) + h11 |w|^2 + Re(h20 w^2).
 
     l1 = Re [<p, C(q, q, q*)> - 2 <p, B(q, A^-1 B(q, q*))> + <p, B(q*, (2 i omega - A)^-1 B(q, q))>] / 2 omega.
     """
@@ -548,14 +551,14 @@ def lyapunov(problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float) -> tup
     mean, double = solved(gz, second @ q.conj()), solved(2 * turn * mass - gz, second @ q)
     terms = np.array([third @ q.conj(), -2 * second @ mean, second.conj() @ double])
     parts = (weight.conj()[: terms.shape[1]] * terms) / (2 * omega)
-    return float(parts.sum().real), q[:d], float(np.abs(parts).sum())
+    return float(parts.sum().real), float(np.abs(parts).sum()), q[:d], -mean[:d].real, double[:d]
 
 
 def first_lyapunov(
     problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float, bars: np.ndarray
 ) -> tuple[float, float, np.ndarray]:
     """The first Lyapunov coefficient at an equilibrium with these error bars, its own error bar, and q."""
-    coefficient, q, terms = lyapunov(problem, z, p, omega)
+    coefficient, terms, q, *_ = lyapunov(problem, z, p, omega)
     bars, random = np.maximum(bars, ROUND_OFF * problem.z_sizes), np.random.default_rng(0)
     more = DISTURBED / float(np.abs(bars / problem.z_sizes).max())
     moved = [lyapunov(problem, z + more * bars * random.uniform(-1, 1, z.size), p, omega)[0] for _ in range(4)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -32,12 +33,15 @@ from orbitfinder.loops.continued import (
     tangent,
 )
 from orbitfinder.loops.loop import Unknowns
+from orbitfinder.loops.mesh import carried, refined
 from orbitfinder.loops.scales import Scales
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import FamilyPoint, Standing
 
 REAL = 1e-7
 """An index counts as real when its imaginary part is below this, relative to its size."""
+REFINEMENTS = 2
+"""How often the mesh of an orbit that does not close is made finer before its step is made shorter."""
 PASSING = 0.1
 """A root multiplier nearer to +1 than this may be what another family leaves with."""
 JUNCTION = 2e-3
@@ -265,8 +269,26 @@ def first_point(start: Start, settings: FamilySettings, check: ClosureCheck | No
     head, curve = start.direction, start.curve
     if parameter_slopes(curve, start.solution.place, head)[settings.parameter] < 0:
         head = -head
-    step = settings.first_step
-    return make_point(curve, start.solution, head, settings.parameter, check, index=0, arclength=0.0, step=step)
+    where: dict[str, Any] = {"index": 0, "arclength": 0.0, "step": settings.first_step}
+    whole = start.solution.place.over(head)
+    return checked_point(curve, start.solution, whole, settings.parameter, check, None, **where)[0]
+
+
+def checked_point(
+    curve: Curve, solution: Solution, whole: np.ndarray, parameter: str, check: ClosureCheck | None,
+    about: Spectrum | None, **where: Any,
+) -> tuple[FamilyPoint, Solution, np.ndarray]:  # fmt: skip
+    """The point of a corrected place, its orbit and tangent, on a finer mesh where it does not close on this one."""
+    along = solution.place.head_of(whole)
+    for trial in range(REFINEMENTS + 1):
+        try:
+            return make_point(curve, solution, along, parameter, check, about=about, **where), solution, whole
+        except ConvergenceError:
+            if trial == REFINEMENTS:
+                raise
+            finer, about = refined(curve, solution, whole), None
+            solution, whole = finer, carried(curve, solution.place, whole, finer.place)
+    raise AssertionError("unreachable")
 
 
 def step_at(run: Run, done: Sequence[tuple[FamilyPoint, Standing | None]], blocks: Blocks | None) -> tuple[Run, Walked]:

@@ -16,7 +16,7 @@ from orbitfinder.loops.condensed import SMALL
 from orbitfinder.loops.continued import CORRECTOR, Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.mesh import MESH, STEP_ERROR
-from orbitfinder.loops.scales import Scales
+from orbitfinder.loops.scales import UNFELT, Scales
 from orbitfinder.mechanics.scales import LEAST_SHARE, STILL
 
 FEWEST, MOST = 4, 32
@@ -202,5 +202,6 @@ def _frame(curve: Curve, w: Unknowns, pacing: Pacing, maps: np.ndarray) -> Frame
         ready=CORRECTOR.newton_ready, floor=CORRECTOR.newton_floor, contraction=0.1, stall=0.5,
         iterations=CORRECTOR.most_newton, sharpest=pacing.sharpest, stretch=pacing.stretch,
         longest=pacing.longest, prediction=pacing.prediction, stale=MESH.stale, allowed=STEP_ERROR, spare=MESH.spare,
-        sampled=MESH.sampled, steepest=MESH.steepest, least_share=LEAST_SHARE, still=STILL, stepped=CORRECTOR.unmoved,
+        sampled=MESH.sampled, steepest=MESH.steepest, least_share=LEAST_SHARE, still=STILL, unfelt=UNFELT,
+        stepped=CORRECTOR.unmoved,
     )  # fmt: skip

@@ -198,7 +198,9 @@ def begun(curve: Curve, solution: Solution, along: np.ndarray) -> tuple[Curve, n
     usual = 1.0 / np.sqrt(curve.weights[size + 1 :])
     zero = np.abs(w.free) < CORRECTOR.at_zero * usual
     curve = replace(curve, scales=Scales.of(curve.sizes(solution), w, np.where(zero, usual, np.abs(w.free))))
-    curve = replace(curve, scales=curve.scales.begun(w, tangent(curve, solution, along), zero))
+    if zero.any():
+        felt = np.linalg.norm(scaled(curve, solution)[0][:, -zero.size :], axis=0)
+        curve = replace(curve, scales=curve.scales.begun(w, tangent(curve, solution, along), zero, felt))
     return curve, tangent(curve, solution, along)
 
 

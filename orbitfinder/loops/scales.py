@@ -24,8 +24,9 @@ from orbitfinder.loops.loop import Loop, Unknowns
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import LEAST_SHARE, WIDE, alone, snapped
 
-UNMOVED = 1e-6
-"""A direction of unit length that moves the motion by less than this does not move it."""
+UNMOVED, UNFELT = 1e-6, 1e-9
+"""A direction of unit length that moves the motion by less than the first does not move it. Parameters that change the
+rows by less than the second, and components that move by less of their largest value, do so by round-off"""
 
 
 @dataclass(frozen=True)
@@ -63,12 +64,14 @@ class Scales:
             lowest=lowest, highest=highest,
         )  # fmt: skip
 
-    def begun(self, w: Unknowns, whole: np.ndarray, zero: np.ndarray) -> Scales:
-        """The same for parameters (f) that are at `zero`, told by the family's direction over w at its first motion."""
+    def begun(self, w: Unknowns, whole: np.ndarray, zero: np.ndarray, felt: np.ndarray) -> Scales:
+        """The same for parameters (f) that are at `zero`, told by the family's direction over w at its first motion, or
+        where that leaves a parameter alone by how much the rows change with its present size: `felt` (f)."""
         moved = whole[: w.nodes.size].reshape(w.nodes.shape) / self.states
         way = float(np.sqrt(w.shares @ (moved**2).sum(axis=1)))
         changes = np.abs(whole[whole.size - w.free.size :])
         enough = LEAST_SHARE * changes / way if way > UNMOVED else self.free
+        enough = np.where(enough * felt > UNFELT * self.free, enough, self.free / nonzero(felt))
         least = np.where(zero, enough, 0.0)
         return replace(self, free=np.where(zero, least, self.free), least=least)
 
@@ -181,7 +184,9 @@ def sizes(model: Model, lengths: np.ndarray, states: np.ndarray, period: float) 
     """
     moved = np.ptp(states, axis=0) / HARMONIC
     if model.rates is not None:
-        return np.asarray(alone(moved / lengths, model.angular) * lengths)
+        far = np.abs(states).max(axis=0)
+        still = moved < UNFELT * far  # at round-off, which says nothing of how it changes along a family
+        return np.asarray(np.where(still, far, alone(np.where(still, 0.0, moved) / lengths, model.angular) * lengths))
     clock, n = period / (2 * np.pi), lengths.size
     far, fast = (float((part / lengths).max(initial=0.0)) for part in (moved[:n], moved[n:]))
     far, fast = max(far, LEAST_SHARE * fast * clock), max(fast, LEAST_SHARE * far / clock)

@@ -59,6 +59,16 @@ def end_kind(name: str) -> EndKind:
     return ENDS.get(name, EndKind())
 
 
+FEWEST = 4
+"""Points of a curve that was followed, though nothing leads on from its last"""
+
+
+def stuck(record: Any) -> str:
+    """Why a family or a branch of fewer points than that cannot go on; "" of others."""
+    reasons = [end.reason for end in record.ends if end_kind(end.kind).stuck]
+    return reasons[0] if reasons and len(record.points) < FEWEST else ""
+
+
 def unknown_end(kind: str, events: Iterable[str]) -> str:
     """What is wrong with a kind of end of a family with events of these kinds; "" where there is such."""
     known = kind in {*ENDS, *events} or loaded("families.entries:is_kind")(kind)

@@ -13,7 +13,7 @@ typedef struct {
   ptrdiff_t segments, steps, closing, phase, images, forced, first_order;
   const double *mesh, *first, *last, *aimed, *maps, *lengths, *angular, *values, *units;
   double ready, floor, contraction, stall, iterations, sharpest, stretch, longest, prediction, stale, allowed,
-    spare, sampled, steepest, least_share, still, stepped;
+    spare, sampled, steepest, least_share, still, unfelt, stepped;
 } Frame;
 
 /* One accepted point, and what the next begins with. */
@@ -279,12 +279,15 @@ static void sized(const Work *o, const Passage *q, double period, double *sizes)
   if (f->first_order) {
     double turning = 0, others = 0;
     for (int i = 0; i < D; i++) {
+      high[i] = fmax(fabs(high[i]), fabs(low[i]));
+      if (sizes[i] < f->unfelt * high[i]) sizes[i] = 0; else high[i] = 0; /* at round-off, or not */
       double size = sizes[i] / f->lengths[i];
       if (f->angular[i] != 0) turning = fmax(turning, size); else others = fmax(others, size);
     }
     for (int i = 0; i < D; i++) {
       double largest = f->angular[i] != 0 ? turning : others;
-      if (!(largest > 0 && isfinite(largest))) sizes[i] = f->lengths[i];
+      if (high[i] > 0) sizes[i] = high[i];
+      else if (!(largest > 0 && isfinite(largest))) sizes[i] = f->lengths[i];
       else if (!(sizes[i] / f->lengths[i] > f->still * largest)) sizes[i] = f->least_share * largest * f->lengths[i];
     }
     return;

@@ -20,7 +20,7 @@ SIZES = ("segments", "steps", "closing", "phase", "images", "forced", "first_ord
 ARRAYS = ("mesh", "first", "last", "aimed", "maps", "lengths", "angular", "values", "units")
 NUMBERS = (
     "ready", "floor", "contraction", "stall", "iterations", "sharpest", "stretch", "longest", "prediction",
-    "stale", "allowed", "spare", "sampled", "steepest", "least_share", "still", "stepped",
+    "stale", "allowed", "spare", "sampled", "steepest", "least_share", "still", "unfelt", "stepped",
 )  # fmt: skip
 
 
