@@ -52,6 +52,10 @@ class ConvergenceError(OrbitfinderError):
     """The solver ended without an orbit; the message says which defect and what to try."""
 
 
+class DomainError(ConvergenceError):
+    """The equations are not defined there: a division by 0, the logarithm or root of a negative number, an overflow."""
+
+
 class Hint(UserWarning):
     """Something that is allowed and yet looks like a slip."""
 

@@ -13,6 +13,7 @@ asked for stays there and is left out.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -27,7 +28,7 @@ from scipy.optimize import brentq
 from orbitfinder._runtime import limit
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.continuation.tests import Crossing, Entries, Roots, crossings
-from orbitfinder.errors import ConvergenceError, IntegrationError, plural
+from orbitfinder.errors import ConvergenceError, DomainError, IntegrationError, plural
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import End
 from orbitfinder.records.journal import append_line, known_lines, refuse_other
@@ -526,7 +527,14 @@ class _Arclength:
         return events
 
     def failed(self, reason: str) -> _Line:
-        return self.trace.add(end=End("step underflow", reason))
+        point, name, kind = self.point, self.goals.name, "step underflow"
+        with contextlib.suppress(ConvergenceError, IntegrationError):
+            try:
+                point.problem.rows(point.w.moved(self.pace.first * point.tangent))
+            except DomainError as error:
+                kind, where = "singularity", f"{name} = {point.value(name):.9g}"
+                reason = f"the branch leaves the domain of its equations at {where}: {error}"
+        return self.trace.add(end=End(kind, reason))
 
     def ended(self, end: End) -> _Line:
         return _Line(end=end)

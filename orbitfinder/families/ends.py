@@ -55,7 +55,9 @@ class Shrinking:
     explosion: float = 0.02
     """a family is in a canard when within the first share of its way in the parameter it changes by the second one"""
     abrupt: float = 30.0
-    """a largest acceleration this many times the median one speaks of a singularity where a family cannot go on"""
+    wider: float = 1.01
+    """a largest acceleration this many times the median one speaks of a singularity where a family cannot go on, and so
+    does an orbit that, so much wider, leaves the domain of its equations"""
 
 
 @dataclass(frozen=True)
@@ -259,10 +261,7 @@ def end_of_failure(run: Run, step: Walked, failure: str) -> End:
         return _at_equilibrium(run, solution)
     if (end := _canard(run, step, failure)) is not None:
         return end
-    singular = (
-        None if self_excited(curve) else singularity(curve, solution, failure)
-    )  # their jumps are no singularities
-    return singular or End("step underflow", failure)
+    return singularity(curve, solution, failure) or End("step underflow", failure)
 
 
 def _canard(run: Run, step: Walked, failure: str) -> End | None:
@@ -345,7 +344,15 @@ def linear(curve: Curve, solution: Solution, within: float) -> bool:
 def singularity(curve: Curve, solution: Solution, failure: str) -> End | None:
     """The end of a family whose motion is somewhere so much faster than elsewhere that its equations are singular."""
     states, mesh, model = solution.march.states, solution.place.mesh, curve.equations.model
-    slopes = curve.equations.march.rates(states, solution.place.tail, mesh * solution.place.period)
+    rates, middle = curve.equations.march.rates, 0.5 * (states.max(axis=0) + states.min(axis=0))
+    slopes, times = rates(states, solution.place.tail, mesh * solution.place.period), mesh * solution.place.period
+    beyond = ~np.isfinite(rates(middle + SHRINKING.wider * (states - middle), solution.place.tail, times)).all(axis=1)
+    if beyond.any():
+        where = np.array2string(states[np.argmax(beyond)], precision=6)
+        return End("singularity", f"the motion comes near a singularity: beyond {where} its equations are not defined; "
+                   f"{failure}")  # fmt: skip
+    if self_excited(curve):
+        return None  # their jumps are no singularities
     n, what = model.degrees_of_freedom, "acceleration" if model.rates is None else "rate"
     pushed = slopes[:, n:] / curve.shares if n < states.shape[1] else slopes / extents(curve, states)
     speed = np.linalg.norm(pushed, axis=1)

@@ -144,10 +144,9 @@ def follow_equilibria(
         ways = [Way(judge, until, sign, problem, rest) for sign in (1.0, -1.0)[: 1 + (until is None)]]
     else:
         reach = None if span is None else np.array([span])
-        problem = regular(at_rest(model, (parameter,), state), state, np.array([start]), reach).seen(
-            branch.largest, np.zeros(1)
-        )
+        problem = regular(at_rest(model, (parameter,), state), state, np.array([start]), reach)
         rest = np.concatenate([state, np.zeros(problem.jets.extra)])
+        problem = problem.seen(rest, np.array([start]), branch.largest)
         ways = [Way(judge, until, sign, problem, rest, branch.direction) for sign in (1.0, -1.0)]
     request = {"system": dict(model.system), "state": state, "parameter": parameter, "way": 0, "until":
                until is not None, "direction": None if branch is None else branch.direction}  # fmt: skip

@@ -85,14 +85,17 @@ class Judge:
         sixth order, relative to the pace: the least singular value of A - lambda, or the distance, which is larger."""
         rates, slopes = self._differences(state, value, sizes, pace)
         upper, largest = claimed[claimed.imag >= 0] / pace, float(np.abs(rates).max())  # of a pair either will do
-        if not isfinite(float(slopes.sum())):
-            return largest, np.inf
-        real, imaginary, *_ = dgeev(slopes, compute_vl=False, compute_vr=False)
-        bound = float(np.abs(upper[:, None] - (real + 1j * imaginary)).min(axis=1).max(initial=0.0))
-        if bound <= SLOPES:
-            return largest, bound
-        shifted = slopes - upper[:, None, None] * np.eye(len(slopes))
-        return largest, float(np.linalg.svd(shifted, compute_uv=False)[:, -1].max())
+        bound = np.inf
+        if isfinite(float(slopes.sum())):
+            real, imaginary, *_ = dgeev(slopes, compute_vl=False, compute_vr=False)
+            bound = float(np.abs(upper[:, None] - (real + 1j * imaginary)).min(axis=1).max(initial=0.0))
+            if bound > SLOPES:
+                shifted = slopes - upper[:, None, None] * np.eye(len(slopes))
+                bound = float(np.linalg.svd(shifted, compute_uv=False)[:, -1].max())
+        nearer = np.minimum(sizes, np.where(state == 0.0, np.inf, np.abs(state)))
+        if bound > SLOPES and (nearer < sizes).any():  # near where the equations are not defined
+            bound = self.left(state, value, nearer, pace, claimed)[1]
+        return largest, bound
 
     def _differences(
         self, state: np.ndarray, value: float | np.ndarray, sizes: np.ndarray, pace: float

@@ -25,7 +25,7 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.tests import Roots, decomposed, felt
-from orbitfinder.errors import ConvergenceError
+from orbitfinder.errors import ConvergenceError, DomainError
 from orbitfinder.integrate.jets import Jets
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, Solver, largest, stepped
@@ -178,8 +178,7 @@ class AtRest:
     def _assembled(self, w: Stacked, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         z, p, more = self.parts(w)
         whole, below = self._evaluated(z, p), 1 + self.count
-        if not isfinite(float(np.vdot(whole[:below], whole[:below]))):
-            raise ConvergenceError("the equations of rest leave the numbers")
+        defined(self.jets, whole[:below])
         if self.form == "regular":
             return whole[0], whole[1:].T
         given = whole[0], whole[1:below].T, whole[below:].T
@@ -298,12 +297,13 @@ class AtRest:
         metric = renewed.metric(w)
         return renewed, w, tangent / sqrt(float(tangent @ (metric * tangent)))
 
-    def seen(self, z: np.ndarray, p: np.ndarray) -> Self:
-        """With sizes no smaller than those of another equilibrium, and somewhat larger where those are."""
+    def seen(self, z: np.ndarray, p: np.ndarray, most: np.ndarray | None = None) -> Self:
+        """With sizes no smaller than those of another equilibrium, or than a state's `most` (d), and somewhat larger
+        where those are."""
         d, old = self.jets.size, self.sizes
         if self.form != "regular":
             return self
-        largest = np.abs(np.concatenate([z[:d], np.zeros(self.jets.extra), p]))
+        largest = np.abs(np.concatenate([z[:d] if most is None else most, np.zeros(self.jets.extra), p]))
         if not (grown := largest > old).any():
             return self
         sizes = np.where(grown, AHEAD * largest, old)
@@ -324,6 +324,14 @@ class AtRest:
         return w
 
 
+def defined(jets: Jets, whole: np.ndarray) -> None:
+    """`DomainError` where the equations of rest or their slopes (below each other) are not finite."""
+    if not isfinite(float(np.vdot(whole, whole))):
+        lost = np.array(jets.model.state_names)[~np.isfinite(whole[:, : jets.size]).all(axis=0)]
+        rates = f"the rate of {', '.join(lost[:5])}, or a slope of it," if lost.size else "an equation of rest"
+        raise DomainError(f"{rates} is not a finite number there")
+
+
 def _phase(jets: Jets, z: np.ndarray, p: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """The directions (k x d) of symmetries at a state, in units, each of length 1."""
     rows = jets.generators(z[: jets.size], p)[0] / sizes[: jets.size]
@@ -337,7 +345,9 @@ def regular(jets: Jets, state: np.ndarray, values: np.ndarray, span: np.ndarray 
     kept = jets.kept_at(state)
     p_sizes = parameter_sizes(model, jets.free, values)
     p_sizes = np.maximum(p_sizes, 0.0 if span is None else np.abs(span))
-    by_z = jets.first(z, values, kept)[1 : 1 + z.size].T
+    whole = jets.first(z, values, kept)[: 1 + z.size]
+    defined(jets, whole)
+    by_z = whole[1:].T
     sizes = state_sizes(model, np.abs(state))
     pace = float(np.abs(np.linalg.eigvals(by_z[:d, :d] * sizes / sizes[:, None])).max(initial=0.0)) or 1.0
     if model.rates is None:

@@ -46,7 +46,7 @@ ENDS = {
     "saddle-node": EndKind("the period blows up", "parameter period error saddles"),
     "merged": EndKind("joins a family", may="parameter period error joined"),
     "canard": EndKind("a canard explosion", "parameter period error", stuck=True),
-    "singularity": EndKind("the motion comes near a singularity", stuck=True),
+    "singularity": EndKind("the (motion comes near a singularity|branch leaves the domain of its)", stuck=True),
     "dead point": EndKind(),
     "step underflow": EndKind(stuck=True),
     STOPPED: EndKind(),
