@@ -20,6 +20,8 @@ from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
+import numpy as np
+
 from orbitfinder._runtime import cluster, limit, processes
 from orbitfinder.errors import InputError, OrbitfinderError
 
@@ -86,7 +88,8 @@ class _Processes:
 
 def _serve(pipe: Connection, work: Work, left: float) -> None:
     """The life of a process: task after task."""
-    with contextlib.suppress(EOFError, OSError), limit.limited(left if math.isfinite(left) else None):
+    bound, quiet = limit.limited(left if math.isfinite(left) else None), np.errstate(all="ignore")
+    with contextlib.suppress(EOFError, OSError), bound, quiet:
         while True:
             request = pipe.recv()
             try:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from orbitfinder._runtime import __version__, interrupt, keeping
 from orbitfinder.cli.atlas import atlas
@@ -97,7 +98,7 @@ class Commands(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; turn the exceptions made for people into messages."""
-        with interrupt.watch():
+        with interrupt.watch(), np.errstate(all="ignore"):  # what is not finite is judged where it is used
             try:
                 return super().invoke(ctx)
             except (KeyboardInterrupt, click.Abort):

@@ -97,7 +97,8 @@ def _advanced(walk: Walk[B], length: float) -> B:
             return walk.advance(length)
         except (ConvergenceError, IntegrationError) as error:
             length /= 2
-            if length < walk.shortest():
+            digits = 0.5 if isinstance(error, DomainError) else 1.0  # where a root ends, half of them are left
+            if length < walk.shortest() ** digits:
                 return walk.failed(str(error))
 
 

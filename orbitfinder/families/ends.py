@@ -206,7 +206,7 @@ def _leaving(run: Run, rest: RestPoint) -> str:
 
 def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:
     """Whether an orbit is the one before half a period later, as behind an equilibrium."""
-    (first, _, here), (other, _, there) = (about_mean(curve, each) for each in (before, solution))
+    (first, here), (other, there) = (about_mean(curve, each) for each in (before, solution))
     weights = curve.scales.states**-2.0  # in their extents what does not move is noise
     alike = np.einsum("kd,kd->d", first, other) @ weights
     return bool(alike < SHRINKING.turned * np.sqrt((here @ weights) * (there @ weights)))

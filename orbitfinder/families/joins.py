@@ -111,13 +111,13 @@ def sampled(curve: Curve, solution: Solution) -> np.ndarray:
     return samples
 
 
-def about_mean(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Samples less their mean (k x d), their extents (d), and the sums of the squares (d) of what is left."""
+def about_mean(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Samples less their mean (k x d), and the sums of the squares (d) of what is left."""
     if "about_mean" not in solution.kept:
         states = sampled(curve, solution)[:-1]
         away = states - states.mean(axis=0)
-        solution.kept["about_mean"] = away, away.max(axis=0) - away.min(axis=0), np.einsum("kd,kd->d", away, away)
-    known: tuple[np.ndarray, np.ndarray, np.ndarray] = solution.kept["about_mean"]
+        solution.kept["about_mean"] = away, np.einsum("kd,kd->d", away, away)
+    known: tuple[np.ndarray, np.ndarray] = solution.kept["about_mean"]
     return known
 
 
@@ -133,7 +133,7 @@ def _beside(curve: Curve, solution: Solution) -> list[tuple[Invariance, np.ndarr
     """What an orbit nearly keeps, d, and its size relative to the motion's."""
     if "beside" not in solution.kept:
         states, angles = sampled(curve, solution), curve.equations.model.angular
-        away = nonzero(float((about_mean(curve, solution)[2] / curve.units**2).mean()) / SAMPLED)
+        away = nonzero(float((about_mean(curve, solution)[1] / curve.units**2).mean()) / SAMPLED)
         gaps = [(kept, kept.gaps(states, angles) / curve.units) for kept in joinable(curve)]
         solution.kept["beside"] = [
             (kept, gap, float(np.sqrt(np.vdot(gap, gap) / gap.size / away))) for kept, gap in gaps
