@@ -184,7 +184,7 @@ def test_commands_prove_and_replay_a_branch(tmp_path):
         ({"passages": [event | {"level": 1.0}]}, "event: recorded"),
         ({"passages": [event | {"kind": "torus"}], "pieces": pieces}, "contraction from"),
     ):
-        record.write_text(json.dumps(whole | wrong))
+        record.write_text(json.dumps({name: part for name, part in (whole | wrong).items() if name != "record"}))
         found = run.invoke(cli, ["verify", "--proof", str(record)])
         assert found.exit_code == 1 and f"proof REJECTED: {message}" in found.output, (wrong, found.output)
 

@@ -214,7 +214,7 @@ def test_other_equations_and_doctored_records_are_rejected(flutter):
     shifted = {"value": str(float(part.value["value"]) + 1e-9), "radius": part.value["radius"]}
     lyapunov = part.known | {"lyapunov": part.known["lyapunov"] | {"value": "-0.0627"}}
     for changes in (
-        {"criticality": "supercritical"}, {"radius": 0.1}, {"contraction": 1e-3}, {"value": shifted},
+        {"criticality": "supercritical"}, {"radius": 0.1}, {"contraction": 1e-3}, {"value": shifted}, {"index": 7},
         {"known": lyapunov},
         {"eigenvalues": part.eigenvalues[::-1][:3]}, {"state": part.state[:3]}, {"event": "fold"},
         {"vector": (1.0,)}, {"known": None}, {"state": ({"value": "x", "radius": 1.0},) * 4},
@@ -222,6 +222,36 @@ def test_other_equations_and_doctored_records_are_rejected(flutter):
         assert replay_equilibria(replace(proof, parts=(replace(part, **changes),)), model)[1], changes
     first = replace(proof.parts[0], stability="unstable")
     assert "stability" in replay_equilibria(replace(proof, parts=(first,)), model)[1][0]
+
+
+def test_contraction_number_and_units_of_a_recorded_proof_are_covered(tmp_path):
+    """A contraction above 1 or below the one found, the number of another point or event, another unit."""
+    cubic = of.ode(lambda t, x, p: [p[0] + x[0] - x[0] ** 3], ["x"], parameters={"r": -1.0}, units={"time": "ms"})
+    along = of.follow_equilibria(cubic, [-1.3], "r", until=1.0)
+    proof = prove_equilibria(replace(along, points=along.points[:2]), cubic)
+    assert replay_equilibria(proof, cubic)[1] == [] and proof.events == ("fold", "fold")
+    assert replay_equilibria(replace(proof, events=()), cubic)[1] == []  # of an older file
+    for k, changes, said in (
+        (1, {"contraction": 1.34}, "contraction"), (1, {"contraction": 1.0}, "contraction"),
+        (1, {"contraction": 0.6 * proof.parts[1].contraction}, "contraction"),
+        (-1, {"contraction": 0.9 * proof.parts[-1].contraction}, "contraction"),
+        (1, {"index": 4}, "index"), (-1, {"index": 0}, "index"), (-1, {"index": 2}, "index"),
+    ):  # fmt: skip
+        parts = list(proof.parts)
+        parts[k] = replace(parts[k], **changes)
+        wrong = replay_equilibria(replace(proof, parts=tuple(parts)), cubic)[1]
+        assert wrong and said in wrong[-1], (changes, wrong)
+    wider = replace(proof.parts[1], contraction=0.5 * (1 + proof.parts[1].contraction))
+    parts = (proof.parts[0], wider, *proof.parts[2:])
+    assert replay_equilibria(replace(proof, parts=parts), cubic)[1] == []
+    file = CODEC.save(proof, tmp_path / "equilibria-proof.json")
+    assert CODEC.load(file).parts == proof.parts
+    text = file.read_text()
+    for old, new in (('"ms"', '"msx"'), ('"index": 1', '"index": 2'), ('"wall_time": ', '"wall_time": 1')):
+        assert old in text
+        file.write_text(text.replace(old, new))
+        with pytest.raises(InputError, match="record: its digest is another"):
+            CODEC.load(file)
 
 
 def test_what_cannot_be_proved_is_refused():
@@ -273,7 +303,8 @@ def test_the_command_proves_and_another_process_replays(tmp_path, monkeypatch):
     replayed = subprocess.run([sys.executable, "-c", REPLAY], capture_output=True, text=True, check=False)
     assert replayed.stdout.strip().endswith("[]"), replayed.stderr
     proof = CODEC.load(Path("equilibria-proof.json"))
-    CODEC.save(replace(proof, parts=(replace(proof.parts[-1], criticality="subcritical"),)), "equilibria-proof.json")
+    spoilt = (*proof.parts[:-1], replace(proof.parts[-1], criticality="subcritical"))
+    CODEC.save(replace(proof, parts=spoilt), "equilibria-proof.json")
     rejected = run(cli, ["verify", "--proof", "equilibria-proof.json"])
     assert rejected.exit_code == 1 and "REJECTED: hopf 0: criticality" in rejected.output
     for options, words in ((["--from", "1"], "--from: is for"), (["x.json"], "by a command each")):

@@ -11,7 +11,15 @@ pytest.importorskip("flint")
 
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
-from orbitfinder.proof.record import read_entry, replay
+from orbitfinder.errors import InputError
+from orbitfinder.proof import branch
+from orbitfinder.proof.bordered import BorderedRecord, events
+from orbitfinder.proof.branch import RECORDS as BRANCHES
+from orbitfinder.proof.connections import CODEC as CONNECTIONS
+from orbitfinder.proof.connections import ConnectionRecord, ProvedEnd
+from orbitfinder.proof.equilibria import CODEC as EQUILIBRIA
+from orbitfinder.proof.equilibria import ProvedEquilibria
+from orbitfinder.proof.record import bounding, read_entry, replay
 from orbitfinder.proof.theorem import Options, Proof
 from orbitfinder.records.orbit import digest
 from orbitfinder.records.registry import load_orbit
@@ -72,6 +80,55 @@ def test_an_atlas_is_proved_in_shards_that_share_nothing(monkeypatch):
         assert said.exit_code == 1
         lists.append([one["file"] for one in json.loads(said.stdout)["results"]])
     assert set().union(*lists) == wanted and sum(map(len, lists)) == len(wanted) > 30
+
+
+def test_a_contraction_is_a_bound():
+    """Not less than the one found, but for round-off, and below 1."""
+    for fresh in (1e-7, 0.12, 0.67):
+        assert all(bounding(recorded, fresh) for recorded in (fresh, fresh * (1 - 1e-8), 1.4 * fresh, 0.999))
+        assert not any(
+            bounding(recorded, fresh) for recorded in (0.6 * fresh, 0.99 * fresh, 1.0, 1.34, 0.0, -1.0, None)
+        )
+    assert bounding(1e-16, 3e-16)  # of a linear system all of it is round-off
+
+
+@pytest.mark.slow
+def test_a_contraction_is_a_bound_of_the_one_found():
+    """Of the wheel's proof: not one share less, nothing of 1 or above, and more than is found up to there."""
+    file = RESULTS / "proofs" / "gaits" / "rimless-wheel.json"
+    orbit = load_orbit(file)
+    recorded = read_entry(orbit, file)
+    for changed in (0.6, 0.99, 1.34 / recorded["contraction"], 1 / recorded["contraction"], 0.0, -1.0):
+        wrong = replay(orbit, {**recorded, "contraction": changed * recorded["contraction"]})[1]
+        assert [one.partition(":")[0] for one in wrong] == ["contraction"], (changed, wrong)
+    for kept in (1.0, 2.0, 0.99 / recorded["contraction"]):
+        assert replay(orbit, {**recorded, "contraction": kept * recorded["contraction"]})[1] == []
+
+
+@pytest.mark.parametrize("name", ["branch-proof", "event-proof", "equilibria-proof", "connection-proof"])
+def test_the_files_of_proofs_have_a_digest(name, tmp_path):
+    """Of all that they say, the units of the system among it; files of before have none and load."""
+    ball = {"value": "1", "radius": 0.1}
+    end = ProvedEnd(1, (1,), (1.0,), (1.0,), 1.0, period=ball)
+    about = "spring", {"kind": "custom", "units": {"time": "ms"}}
+    codec, record = {
+        "branch-proof": (BRANCHES, branch.Record(*about, "none", 1, (), (), None, 0.0, 1.0)),
+        "event-proof": (events, BorderedRecord(*about, "k", "fold", "none", 1, (), (), 1, (1, 1), (1.0,), (1.0,), 0.1,
+                                               contraction=0.1)),
+        "equilibria-proof": (EQUILIBRIA, ProvedEquilibria(*about, "k")),
+        "connection-proof": (CONNECTIONS, ConnectionRecord("spring", True, about[1], ("x",), 0, 0.0, 1.0, 1, 1, (0,),
+                                                           end, end, contraction=0.1)),
+    }[name]  # fmt: skip
+    file = codec.save(record, tmp_path / f"{name}.json")
+    text = file.read_text()
+    assert codec.load(file).system == about[1]
+    file.write_text(text.replace('"ms"', '"msx"'))
+    with pytest.raises(InputError, match="record: its digest is another, so the file was edited or damaged"):
+        codec.load(file)
+    document = json.loads(text)
+    del document["record"]
+    file.write_text(json.dumps(document))
+    assert codec.load(file).name == "spring"
 
 
 @pytest.mark.slow

@@ -313,7 +313,7 @@ class BorderedRecord(Versioned):
         return TaylorSettings(self.order, self.bits, self.tolerance)
 
 
-events = Codec(BorderedRecord, "event-proof", "`orbitfinder prove --event`", "prove the event again")
+events = Codec(BorderedRecord, "event-proof", "`orbitfinder prove --event`", "prove the event again", sealed=True)
 
 
 @dataclass

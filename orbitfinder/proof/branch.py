@@ -71,7 +71,7 @@ from orbitfinder.proof.theorem import (
     unknowns_at,
 )
 from orbitfinder.proof.trajectory import Trajectory, horizon, minimal_period, trajectory
-from orbitfinder.records.codec import Codec, entries_of
+from orbitfinder.records.codec import Codec
 from orbitfinder.records.family import Family, FamilyPoint
 
 ROUGH = TaylorSettings(order=12, bits=80, tolerance=1e-14)
@@ -508,12 +508,8 @@ def _nearest(family: Family, low: float, high: float) -> FamilyPoint:
     return family.points[int(np.abs(energies - low).argmin())]
 
 
-RECORDS = Codec(Record, "branch-proof", "`orbitfinder prove`", AGAIN, version=2)
-
-
-def branch_document(branch: ProvedBranch) -> dict[str, Any]:
-    """The JSON form of a branch."""
-    return {"format": RECORDS.format, "version": RECORDS.version, **entries_of(branch, Record)}
+RECORDS = Codec(Record, "branch-proof", "`orbitfinder prove`", AGAIN, version=2, sealed=True)
+branch_document = RECORDS.document
 
 
 def read_branch(path: Path) -> ProvedBranch:

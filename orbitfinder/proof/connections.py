@@ -195,7 +195,8 @@ class ConnectionRecord(Versioned):
         ]
 
 
-CODEC = Codec(ConnectionRecord, "connection-proof", "`orbitfinder prove CONNECTION.json`", "prove the connection again")
+CODEC = Codec(ConnectionRecord, "connection-proof", "`orbitfinder prove CONNECTION.json`", "prove the connection again",
+              sealed=True)  # fmt: skip
 
 
 # --------------------------------------------------------------------------------------------------

@@ -54,7 +54,7 @@ from orbitfinder.proof.balls import (
 from orbitfinder.proof.field import NUMERICAL, sloped
 from orbitfinder.proof.krawczyk import approximate_inverse, contracted
 from orbitfinder.proof.program import Ring, ScalarProgram, derived
-from orbitfinder.proof.record import DIGITS, MARGIN, at_least, close, enclosure, holds, holds_each
+from orbitfinder.proof.record import DIGITS, MARGIN, at_least, bounding, enclosure, holds, holds_each
 from orbitfinder.proof.series import BALLS
 from orbitfinder.proof.theorem import NotProved, Options, Progress, provable_system
 from orbitfinder.proof.trajectory import positive_definite
@@ -118,6 +118,7 @@ class ProvedEquilibria(Shown, Versioned):
         name: of the equilibria.
         system: plain description that rebuilds the model.
         parameter: that they were followed in.
+        events: the kinds of all of its events, which say what `index` is of a fold and a Hopf point.
         parts: of each point, then of each fold and Hopf point.
         wall_time: s.
     """
@@ -128,6 +129,7 @@ class ProvedEquilibria(Shown, Versioned):
     name: str
     system: Mapping[str, Any]
     parameter: str
+    events: tuple[str, ...] = ()
     parts: tuple[ProvedRest, ...] = ()
     wall_time: float = 0.0
 
@@ -137,7 +139,7 @@ class ProvedEquilibria(Shown, Versioned):
         return bool(self.parts) and all(part.proved for part in self.parts)
 
 
-CODEC, PLACES = Codec(ProvedEquilibria, "equilibria-proof", "`orbitfinder prove`", "prove it again"), (MARGIN, DIGITS)
+CODEC = Codec(ProvedEquilibria, "equilibria-proof", "`orbitfinder prove`", "prove it again", sealed=True)
 read_proof = CODEC.load
 
 
@@ -436,8 +438,9 @@ def prove_equilibria(
         _Claim(event.kind, k, event.state, event.parameter, (), event.frequency)
         for k, event in enumerate(equilibria.events) if event.kind in _theorems()
     ]  # fmt: skip
-    empty = ProvedEquilibria(equilibria.name, equilibria.system, equilibria.parameter)
-    return _concluded(empty, model or provable_system(equilibria.system), [*points, *events], progress, *PLACES)
+    kinds = tuple(event.kind for event in equilibria.events)
+    empty = ProvedEquilibria(equilibria.name, equilibria.system, equilibria.parameter, kinds)
+    return _concluded(empty, model or provable_system(equilibria.system), [*points, *events], progress, MARGIN, DIGITS)
 
 
 def replay_equilibria(
@@ -445,9 +448,9 @@ def replay_equilibria(
 ) -> tuple[ProvedEquilibria, list[str]]:
     """The proof done again from its record alone, and every recorded claim that it does not prove."""
     compared: dict[str, Callable[[Any, Any], bool]] = {
-        **dict.fromkeys(("event", "index", "stability", "criticality", "vector"), operator.eq),
+        **dict.fromkeys(("event", "stability", "criticality", "vector"), operator.eq),
         "radius": at_least,
-        "contraction": close,
+        "contraction": bounding,
         "value": holds,
         "state": lambda old, new: holds(list(old), list(new)),
         "eigenvalues": lambda old, new: holds_each([*map(list, old)], [*map(list, new)]),
@@ -463,11 +466,16 @@ def replay_equilibria(
             state, value, frequency = [], 0.0, 0.0
         stated.append(_Claim(part.event, part.index, np.array(state), value, part.vector, frequency))
     fresh = _concluded(recorded, model or provable_system(recorded.system), stated, progress, 1.0, 2 * DIGITS)
+    points = sum(not part.event for part in recorded.parts)
+    numbers = [*range(points), *(k for k, kind in enumerate(recorded.events) if kind in _theorems())]
+    of_points = None if recorded.events else points  # older files do not say which events there were
     wrong = []
     for old, new in zip(claims, fresh.parts, strict=True):
         faults = [name for name, same in compared.items() if not same(getattr(old, name), getattr(new, name))]
         said = new.reason if not new.proved else f"{', '.join(faults)}: recorded otherwise" if faults else ""
         wrong += [f"{old.place}: {said}"] if said else []
+    if [part.index for part in recorded.parts][:of_points] != numbers:
+        wrong.append("index: the parts are not numbered as the points and events are")
     return fresh, wrong
 
 

@@ -24,6 +24,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.records.reading import (
     arrays,
     bounded,
+    content_digest,
     hints,
     json_bytes,
     json_file,
@@ -161,10 +162,19 @@ def check_format(document: Any, wanted: str, version: int, where: str, give: str
     return document
 
 
+def unsealed(document: dict[str, Any], where: str, again: str, required: bool = False) -> dict[str, Any]:
+    """The same document without its digest. Raises `InputError` where that is of another content, or missing."""
+    record = document.pop("record", None)
+    if (record is not None or required) and record != content_digest(document):
+        raise InputError(f"{where}: record: its digest is another, so the file was edited or damaged; {again}")
+    return document
+
+
 @dataclass(frozen=True)
 class Codec(Generic[Record]):
     """How records of a `kind` are written and read: `name` is that of the format, `maker` the command that writes
-    them, `again` what to do about a damaged file; `alone`: it may be without its .npz."""
+    them, `again` what to do about a damaged file; `alone`: it may be without its .npz; `sealed`: `record` is the digest
+    of everything else, which older files are without."""
 
     kind: Callable[..., Record]
     name: str
@@ -172,6 +182,7 @@ class Codec(Generic[Record]):
     again: str
     alone: bool = False
     version: int = 1
+    sealed: bool = False
 
     @property
     def format(self) -> str:
@@ -180,7 +191,8 @@ class Codec(Generic[Record]):
 
     def document(self, record: Record) -> dict[str, Any]:
         """The JSON document of a record; floats round-trip exactly."""
-        return {"format": self.format, "version": self.version, **entries_of(record)}
+        document = {"format": self.format, "version": self.version, **entries_of(record, self.kind)}
+        return document | {"record": content_digest(document)} if self.sealed else document
 
     def save(self, record: Record, path: str | Path) -> Path:
         """Write a record and what is dense of it, each whole or not at all; returns the JSON's path.
@@ -206,6 +218,8 @@ class Codec(Generic[Record]):
         give = f"give a {self.name}.json, which {self.maker} writes"
         content, beside = json_file(source, f"{self.name}.json", self.again), source.with_suffix(".npz")
         document = check_format(content, self.format, self.version, str(source), give, self.again)
+        if self.sealed:
+            unsealed(document, str(source), self.again)
         dense = self._dense()
         entries = {name: entry for name, entry in document.items() if name not in dense}
         if dense and (beside.exists() or not self.alone):

@@ -24,7 +24,7 @@ from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder.errors import InputError, closest, plural
-from orbitfinder.records.codec import Complexes, Filed, Unknown, check_format, entries_of, layout, plain
+from orbitfinder.records.codec import Complexes, Filed, Unknown, check_format, entries_of, layout, plain, unsealed
 from orbitfinder.records.ends import unknown_end
 from orbitfinder.records.journal import append_line, read_lines
 from orbitfinder.records.orbit import Orbit, incomputable, system_at
@@ -656,9 +656,7 @@ def load_family(path: str | Path) -> Family:
     source = Path(path)
     content = json_file(source, "family.json", AGAIN)
     document = check_format(content, FORMAT, VERSION, str(source), "give a family.json", AGAIN)
-    record = document.pop("record", None)
-    if (record is not None or "dense" in document) and record != content_digest(document):
-        raise InputError(f"{source}: record: its digest is another, so the file was edited or damaged; {AGAIN}")
+    unsealed(document, str(source), AGAIN, "dense" in document)
     dense = _read_dense(source.with_suffix(".npz"), str(document.get("dense", "")))
     try:
         for kind in ("point", "event"):
