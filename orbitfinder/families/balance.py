@@ -8,9 +8,11 @@ closure is by implicit steps, and folds and changes of stability are located in 
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
@@ -40,7 +42,7 @@ from orbitfinder.families.point import FamilySettings, make_point
 from orbitfinder.families.run import Sample, ahead, make_interval, make_sample
 from orbitfinder.families.stability import matching
 from orbitfinder.families.start import curve_at, entry_of
-from orbitfinder.families.verified import checked
+from orbitfinder.families.verified import checked, verdicts
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import followed as followable
 from orbitfinder.loops.continued import Curve, at_place, tangent
@@ -57,7 +59,7 @@ from orbitfinder.orbits.closure import LARGEST_SCALE
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.floquet import outside
 from orbitfinder.orbits.harmonics import Balanced
-from orbitfinder.orbits.hill import Exponents, exponents, finer_indices, monodromy, proved
+from orbitfinder.orbits.hill import Exponents, exponents, finer_indices, proved
 from orbitfinder.orbits.implicit import SMALL, ImplicitCheck, gathered
 from orbitfinder.orbits.measure import action
 from orbitfinder.records.certificate import Check, at_most, skipped
@@ -83,8 +85,9 @@ from orbitfinder.records.family import (
 )
 from orbitfinder.records.orbit import system_at
 
-NODES, STEPS = 16, 256
-"""States at equal times that shooting stands on, and its steps of a period at least"""
+NODES, STEPS, TENTH = 16, 256, 10
+"""States at equal times that shooting stands on, and its steps of a period at least; the verdict on every
+so many points is made again, and those where it changes"""
 ZERO, AGAIN, SAMPLED, ROUNDED, VANISHED, TURNED, ASIDE, ROUNDS = 1e-6, 1e-5, 64, 1e-12, 1e-2, 1e-4, 0.05, 10
 """An exponent that is 0 at an event is as near to it, what is verified of it again as this; states that units are taken
 from; relative error of a number; share of the first free motion that comes to rest, of a rise that is none; share of a
@@ -114,8 +117,10 @@ def followed(
     if parameter in problem.free:
         raise InputError(f"parameter: {parameter} is free for the phase already; follow in another")
     first = begun(problem, parameter, until)
-    marched = _tame(first) and not problem.free
-    own = (_Marched if marched else _Large)(problem, settings, name, watches(watch, problem.model), first)
+    few = first.problem.equations.size <= SMALL and not problem.free
+    own = (_Marched if few and exponents(first.problem, first.w).whole else _Large)(
+        problem, settings, name, watches(watch, problem.model), first
+    )
     ways = _ways(first, settings, until, at)
     runs = [_Direction(own, sign, Goals(parameter, goal, exact), first) for sign, goal, exact in ways]
     with nullcontext() if folder is None else locks.alone_in(folder):
@@ -129,11 +134,6 @@ def followed(
         if folder is not None:
             save_family(family, folder)
     return family
-
-
-def _tame(point: Point) -> bool:
-    """Whether explicit steps follow a motion's variations, all of which are known."""
-    return point.problem.equations.size <= SMALL and monodromy(point.problem, point.w) is not None
 
 
 def _ways(
@@ -260,7 +260,9 @@ class _Large:
         self.entry |= {"cycles": problem.forcing_cycles} if problem.model.forced else {}
 
     def tests(self) -> Mapping[str, Callable[[Point], float]]:
-        return {"fold": lambda point: rise(point, self.parameter), "change": changing} if self.settings.events else {}
+        if not self.settings.events:
+            return {}
+        return {"fold": partial(rise, name=self.parameter), "change": changing, "real": partial(changing, real=True)}
 
     def point(self, point: Point, **where: Any) -> FamilyPoint:
         about, (free, period) = exponents(point.problem, point.w), freed(point)
@@ -297,9 +299,18 @@ class _Large:
 
     def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:
         located = [event for kept in seen if (event := self._event(kept, before.point, after.point)) is not None]
-        stable = [kept.record.stability != "unstable" for kept in (before, after)]
-        if len(located) == 1 and stable[0] != stable[1]:
-            located.append(replace(located[0], kind="stability_change", detail=BECOMES[stable[0]]))
+        unstable, edges = [before.record.stability == "unstable"], [event.arclength for event in located]
+        for first, last in pairwise(edges):
+            there = advanced(before.point, 0.5 * (first + last) - before.point.arclength)
+            unstable.append(exponents(there.problem, there.w).stability == "unstable")
+        unstable.append(after.record.stability == "unstable")
+        for event, (early, late) in zip(tuple(located), pairwise(unstable), strict=False):
+            if early != late:
+                located.append(replace(event, kind="stability_change", detail=BECOMES[late]))
+        if not located and unstable[0] != unstable[1]:
+            logging.getLogger(__name__).warning(
+                "stability changes between %s %.12g and %.12g, and no event is located there", self.parameter,
+                before.record.value, after.record.value)  # fmt: skip
         return located
 
     def _event(self, kept: KeptPoint, before: Point, after: Point) -> Event | None:
@@ -313,13 +324,15 @@ class _Large:
         critical = about.values[np.argmin(np.abs(about.values if turns else about.values.real))]
         turned = abs((critical.imag + 0.5) % 1.0 - 0.5)
         other = "branch_point" if turned < ZERO else "period_doubling" if turned > 0.5 - ZERO else "torus"
-        off, known = abs(critical) if turns else abs(critical.real), abs(changing(after) - changing(before))
+        real, off = kept.role == "real", abs(critical) if turns else abs(critical.real)
+        known = abs(changing(after, real) - changing(before, real))
         step = abs(after.value(self.parameter) - before.value(self.parameter))
-        if free_motion := not balanced.equations.names:
+        free_motion = not balanced.equations.names
+        rises = [abs(rise(each, self.parameter)) for each in (point, before, after)]
+        if (free_motion or real) and not turns and rises[0] < TURNED * max(rises[1:]):
+            return None  # at a fold, which is an event of its own
+        if free_motion:
             other, critical, off = meeting(about, turns)
-            rises = [abs(rise(each, self.parameter)) for each in (point, before, after)]
-            if not turns and rises[0] < TURNED * max(rises[1:]):  # at a fold, which is an event of its own
-                return None
         if off > ZERO:
             return None
         if free_motion:
@@ -393,7 +406,8 @@ def heading(point: Point) -> np.ndarray:
 
 
 def reverified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
-    """Every event and end of a family of many coordinates, each with its check made again by implicit steps."""
+    """Every event and end of a family of many coordinates, and verdicts on stability, each made again by implicit
+    steps."""
     name, cycles = family.parameter, int(family.curve.get("cycles", 1))
     check = ImplicitCheck(model, tuple(family.points[0].free), cycles)
     values = family.values("value")
@@ -402,6 +416,15 @@ def reverified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
         yield f"event {k}, {name} {event.parameter:.12g}", _again(family, check, event)
     for k, end in enumerate(family.ends):
         yield f"end {k}", _end_again(end, values[[0, -1]], float(np.abs(values).max()))
+    words = np.array([point.stability for point in family.points])
+    turns, every = np.flatnonzero(words[1:] != words[:-1]), np.arange(words.size)
+    chosen = np.unique(np.concatenate([every[::TENTH], every[-1:], turns, turns + 1])).tolist()
+
+    def again(point: FamilyPoint) -> str:
+        made = certify(point, with_parameters(model, point.free)).checks
+        return next((point.stability if each.passed else each.note for each in made if each.name == "stability"), "")
+
+    yield from verdicts(family, again, chosen)
 
 
 def _end_again(end: End, values: np.ndarray, size: float) -> Check:
@@ -458,14 +481,15 @@ def meeting(about: Exponents, turns: bool) -> tuple[str, complex, float]:
     return kind, complex(0.0, turn / (2 * np.pi)), float(off)
 
 
-def changing(point: Point) -> float:
-    """The largest real part of what exponents may cross the axis elsewhere than at a fold; of free motions how far an
-    index is outside of those that are stable."""
+def changing(point: Point, real: bool = False) -> float:
+    """The largest real part of what exponents may cross the axis elsewhere than at a fold, or of those that are `real`
+    where all are known; of free motions how far an index is outside of those that are stable."""
     about = exponents(point.problem, point.w)
     if about.whole is not None and not point.problem.equations.names:
-        return float(outside(about.indices).max(initial=-2.0))
-    others = about.values[about.values.imag > 1e-7].real
-    return float(others.max(initial=about.rest if np.isfinite(about.rest) else -1.0))
+        return -1.0 if real else float(outside(about.indices).max(initial=-2.0))
+    turned, known = np.abs(about.values.imag) > 1e-7, np.isfinite(about.rest)
+    others = about.values[~turned if real and about.whole is not None else turned & (not real)].real
+    return float(others.max(initial=about.rest if known and not real else -1.0))
 
 
 @dataclass(eq=False)

@@ -4,9 +4,11 @@ point claims of the family."""
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -213,8 +215,38 @@ def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
         if len(family.ends) == 1 and family.points[-1].arclength == 0:
             at = family.points[0]
         yield f"end {k}", _end(family, curve, end, at)
+    yield from verdicts(family, partial(_again, curve), range(len(family.points)))
     for name in dict.fromkeys(name for point in family.points for name in point.watch):
         yield f"watch.{name} of {plural(len(family.points), 'orbit')}", _column(family, curve, name)
+
+
+def verdicts(family: Family, again: Callable[[FamilyPoint], str], some: Collection[int]) -> Iterator[tuple[str, Check]]:
+    """The verdicts on stability of some points made `again`, and whether they change where events say so."""
+    points, wrong = family.points, ""
+    for k in some:
+        interrupt.check()
+        try:
+            word = again(points[k])
+        except (ConvergenceError, IntegrationError) as error:
+            word = str(error)
+        if word != points[k].stability:
+            wrong = f"point {k} is recorded as {points[k].stability}, computed: {word}"
+            break
+    yield f"stability of {plural(len(some), 'orbit')}", equal("verdicts", bool(wrong), 0.0, wrong)
+    changes = Counter(event.index for event in family.events if kind_of(event.kind).verdict)
+    for k, pair in enumerate(pairwise(point.stability for point in points)):
+        known = family.events and not {"marginal", "undecided"} & {*pair}
+        if known and (pair[0] == "unstable") ^ (pair[1] == "unstable") != changes[k] % 2:
+            said = f"{pair[0]} and then {pair[1]}, with {plural(changes[k], 'stability change')} between them"
+            yield f"points {k} and {k + 1}", refused("changes", said)
+
+
+def _again(curve: Curve, point: FamilyPoint) -> str:
+    """The verdict on a point by its nodes, or the recorded one where errors grow by too much for any."""
+    solution = settled_on(curve, point)
+    about = spectrum(curve, solution)
+    lost = growth(curve, solution, about, extents(curve, solution.march.states)) > UNKNOWN
+    return point.stability if lost else about.stability
 
 
 def _column(family: Family, curve: Curve, name: str) -> Check:

@@ -621,7 +621,7 @@ def _same_symmetry(orbit: Orbit, evidence: Recomputed, model: Model) -> Check:
 def _undecided(orbit: Orbit, model: Model) -> str:
     """The verdict on a point of a dissipative family whose recorded error bars decide, and where none is claimed, of
     many coordinates; else ""."""
-    if orbit.stability == "undecided" and orbit.state.size > 2 * SMALL:
+    if orbit.stability == "undecided" and orbit.floquet_multipliers.size < orbit.state.size - 2 * (not model.forced):
         return orbit.stability
     if not isinstance(orbit, FamilyPoint) or orbit.multiplier_errors.shape != orbit.floquet_multipliers.shape:
         return ""

@@ -21,22 +21,25 @@ Sources: B. Bentvelsen, A. Lazarus, Nonlinear Dyn. 91 (2018) 1349-1370; A. Nayfe
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import eig, eigh
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs, eigsh, splu
 
 from orbitfinder._runtime import limit
-from orbitfinder._runtime.sizes import relative
+from orbitfinder._runtime.sizes import nonzero, relative
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.collocation import tableau
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.symmetry import symplectic
 from orbitfinder.orbits.decay import Beside, decay, definite, extreme
-from orbitfinder.orbits.floquet import Floquet, judged, reduce_monodromy
+from orbitfinder.orbits.floquet import Floquet, judged, reduce_monodromy, verdict
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
-from orbitfinder.orbits.implicit import SMALL, STAGES, Variations, truncated
+from orbitfinder.orbits.implicit import RESOLVED, SMALL, STAGES, Variations, truncated
 
 SOUGHT, MOST_SOUGHT, VECTORS, RESTARTS, CONVERGED = 2, 24, 12, 8, 1e-5
 """Exponents about a shift, at first and at most, vectors that they are sought in, restarts with so few, their relative
@@ -48,8 +51,10 @@ INSTANTS, EVEN, GROWN, PARTNER = 8, 1e-11, 1e-5, 1e-2
 exponents that grow where nothing damps, and what share of them their partners may be off"""
 ALIKE, ROUND_OFF = 1e-7, 1e-8
 """Exponents nearer than this are the same. Real parts below it are none"""
-MARGIN, NEARBY, MOST_SHIFTS = 2.0, 0.05, 8
+MARGIN, SLIGHT, MOST_SHARE, NEARBY, MOST_SHIFTS = 2.0, 1e-6, 0.5, 0.05, 8
 """By how much couplings may be larger than in first order; how far apart shifts are; shifts at most"""
+ALL, EXACT = 100, 1e-14
+"""Coordinates up to which all exponents of driven motions are computed; relative error of a monodromy at least"""
 SYMMETRIC, MOST_MODES, MODES = 1e-9, 400, 80
 """Relative difference from a matrix's transpose that is none; coordinates up to which all modes are known, and modes
 of more that may be looked at"""
@@ -99,18 +104,21 @@ def exponents(problem: Balanced, w: Coefficients) -> Exponents:
 
 
 def _all(problem: Balanced, w: Coefficients) -> Exponents | None:
-    """Those of few coordinates that are not stiff, and of free motions of more."""
-    size, (whole, power, error) = problem.equations.size, (None, 1, 0.0)
-    if problem.equations.names:
-        whole = monodromy(problem, w) if size <= SMALL else None
-    elif size <= MOST_MODES:
-        whole, power, error = _reduced(problem, w)
+    """Those of up to `ALL` coordinates that are not stiff, and of free motions of more."""
+    equations, first = problem.equations, problem.equations.model.rates is not None
+    if equations.size > (SMALL if first else ALL if equations.names else MOST_MODES):
+        return None
+    whole, power, error = (monodromy(problem, w), 1, 0.0) if first else _reduced(problem, w)
     if whole is None:
         return None
-    multipliers, keeps = np.linalg.eigvals(whole).astype(complex), symplectic(problem.equations.model)
-    about, root = judged(multipliers**power, keeps, error), judged(multipliers, keeps)
+    keeps, (values, left, right) = symplectic(equations.model), eig(whole, left=True)
+    about, root = (judged(each, keeps, error) for each in (values**power, values))
+    if not keeps:  # an eigenvalue is off by what its matrix is, times its condition
+        condition = np.linalg.norm(whole) / nonzero(np.abs(values * (left.conj() * right).sum(axis=0)))
+        lost = np.minimum(power * max(error, EXACT) * condition, 1.0)
+        about = replace(about, stability=verdict(values**power, lost))
     with np.errstate(divide="ignore"):
-        picked = np.log(about.multipliers) / (2 * np.pi)
+        picked = power * np.log(root.multipliers) / (2 * np.pi)
     return Exponents(picked[np.argsort(-picked.real)], -np.inf, "", about, power, root.indices.astype(complex))
 
 
@@ -130,9 +138,8 @@ def _trivial(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarray
 
 @one_thread()
 def _reduced(problem: Balanced, w: Coefficients, finer: int = 1) -> tuple[np.ndarray | None, int, float]:
-    """A root of the monodromy of a free motion of many coordinates on its level of energy, modulo its own direction, of
-    which power that is, and what it is known to; None where too many steps would be needed. Steps are `finer` times as
-    many.
+    """A root of the monodromy, of free motions on their level of energy modulo their own direction, of which power that
+    is, and what it is known to; None where too many steps would be needed. Steps are `finer` times as many.
 
     Sparse steps go over half a period where G is odd, as Phi = (-Phi(pi))^2, and over half of that where the motion is
     even about 0, as then, with P = diag(1, -1), Phi over the whole is P A^-1 P A.
@@ -146,13 +153,17 @@ def _reduced(problem: Balanced, w: Coefficients, finer: int = 1) -> tuple[np.nda
         return np.concatenate([varying, fixed[:, : times.size]])
 
     odd, sines = 0 not in basis.orders, [place + 1 for k, place in zip(basis.orders, basis.places, strict=True) if k]
-    even = equations.model.gyroscopic is None and bool(
-        np.abs(coefficients[:, sines]).max() <= EVEN * np.abs(coefficients).max()
+    even = (
+        not equations.names
+        and equations.model.gyroscopic is None
+        and bool(np.abs(coefficients[:, sines]).max() <= EVEN * np.abs(coefficients).max())
     )
     length = 2 * np.pi / (1 + odd) / (1 + even)
     instants = np.split(np.linspace(0.0, length, INSTANTS), INSTANTS)
-    fastest = max(max(basis.orders), *(linear.fastest(slopes(each)[:, 0]) for each in instants))
-    steps = int(np.ceil(fastest * length / SPARSE))
+    worth = np.abs(np.fft.rfft(problem.sampled(w)[1], axis=1)).max(axis=0, initial=0.0)  # in a step as z^13 times that
+    turning = (1 + odd) * np.arange(worth.size) * (worth / nonzero(worth.max(initial=0.0))) ** (1 / (2 * STAGES + 1))
+    fastest = max(float(turning.max()), 1.0, *(linear.fastest(slopes(each)[:, 0]) for each in instants))
+    steps = int(np.ceil(fastest * length / (RESOLVED if equations.names else SPARSE)))
     if steps > MOST_STEPS * length / (2 * np.pi):
         return None, 1, 0.0
     steps *= finer
@@ -167,10 +178,12 @@ def _reduced(problem: Balanced, w: Coefficients, finer: int = 1) -> tuple[np.nda
         back = np.repeat([1.0, -1.0], n)[:, None]
         root = back * np.linalg.solve(root, back * root)
     root = -root if odd else root
+    off = (1 + even) * truncated(fastest * length, steps)
+    if equations.names:
+        return root, 1 + odd, off
     gradient, along = _trivial(problem, w)
     gradient, along = gradient * units, along / units
     lost = (relative(root @ along[0] - along[0], along[0]), relative(gradient[0] @ root - gradient[0], gradient[0]))
-    off = (1 + even) * truncated(fastest * length, steps)
     return reduce_monodromy(root, gradient, along), 1 + odd, (1 + odd) * max(off, *lost)
 
 
@@ -180,12 +193,6 @@ def finer_indices(problem: Balanced, w: Coefficients) -> np.ndarray:
     assert root is not None
     keeps = symplectic(problem.equations.model)
     return judged(np.linalg.eigvals(root).astype(complex), keeps).indices.astype(complex)
-
-
-def nearest(problem: Balanced, w: Coefficients) -> complex:
-    """The exponent nearest to 0 among the orders themselves: 0 at a fold."""
-    values = _about(problem, w, 0j, SOUGHT)[0]
-    return complex(values[np.argmin(np.abs(values))])
 
 
 def _few(problem: Balanced, w: Coefficients) -> Exponents:
@@ -316,19 +323,34 @@ def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarra
     frequencies, decays = seen.frequencies, seen.decays
     worth = np.abs(harmonics[:, 1:]).max(axis=0, initial=0.0)
     rest, picked = -0.5 * seen.least, dict[int, float]()  # where c is less than half of what would let it grow
-    upper = np.triu_indices(frequencies.size)
-    between, allowed = (np.sqrt(np.outer(x, x))[upper] for x in (frequencies, decays))
-    for k in np.flatnonzero(worth > ROUND_OFF * worth.max(initial=0.0)) + 1:
-        coupling = np.zeros((frequencies.size, frequencies.size))
+    upper, between = np.triu_indices(frequencies.size), np.sqrt(np.outer(frequencies, frequencies))
+    allowed, sums = np.sqrt(np.outer(decays, decays))[upper], frequencies[:, None] + frequencies
+    couplings, shares, seconds = dict[int, Any](), dict[int, Any](), defaultdict[int, Any](lambda: 0 * sums)
+    for k in (np.flatnonzero(worth > SLIGHT * worth.max(initial=0.0)) + 1).tolist():
+        coupling = 0 * sums
         for kind in (0, 1):
             own = moving[:, 2] == kind
             sides = seen.shapes[moving[own, 0]], seen.shapes[moving[own, 1]]
             part = np.abs((sides[0] * harmonics[own, k, None]).T @ sides[1])
             coupling += part * (frequencies if kind else 1.0)
-        most = MARGIN * (coupling + coupling.T)[upper] / (4 * between)
+        c = couplings[k] = (coupling + coupling.T) / (4 * between)
+        if decays.any():
+            turn, apart = k * period, abs(frequencies[:, None] - frequencies)
+            near = abs(sums - turn)
+            near = [np.where(near < 2 * MARGIN * c, np.inf, near), sums + turn, abs(apart - turn), apart + turn]
+            shares[k] = sum(c / nonzero(np.maximum(each, c)) for each in near)
+    for first, second in product(couplings, shares):
+        for k in {first + second, abs(first - second)}:
+            seconds[k] += couplings[first] @ shares[second]
+    share = float(np.linalg.norm(sum(shares.values(), 0 * sums), 2))
+    if not share < MOST_SHARE:
+        return np.zeros(0), np.zeros(0), np.inf, f"the next order of averaging is {share:.2g} of the first"
+    shifted = seconds[0].diagonal() / (1 - share)
+    for k in {*couplings, *seconds} - {0}:
+        most = MARGIN * (couplings.get(k, 0.0) + (seconds[k] + seconds[k].T) / (2 - 2 * share))[upper]
         strong = np.flatnonzero(most > 0.5 * allowed)
         i, j, c = upper[0][strong], upper[1][strong], most[strong]
-        off = frequencies[i] + frequencies[j] - k * period
+        off = np.maximum(abs(sums[i, j] - k * period) - shifted[i] - shifted[j], 0.0)
         grown = np.sqrt((0.5 * (decays[i] - decays[j] + 1j * off)) ** 2 + c**2).real - 0.5 * (decays[i] + decays[j])
         rest = max(rest, float(grown[grown <= 0].max(initial=-np.inf)))
         for mode, reach in zip((*i[grown > 0], *j[grown > 0]), (*c[grown > 0], *c[grown > 0]), strict=True):
@@ -382,7 +404,7 @@ def _shifted(problem: Balanced, shift: complex) -> list[Pattern]:
 
 
 def monodromy(problem: Balanced, w: Coefficients) -> np.ndarray | None:
-    """Of (u, u') over tau = 0 to 2 pi, by Gauss' steps of order twelve, all at once; None of a motion that is stiff."""
+    """Of a first-order system over tau = 0 to 2 pi, by Gauss' steps of order twelve, all at once; None where stiff."""
     first = _rates(problem, w, np.zeros(1))[0]
     size, rule = len(first), tableau(6, "legendre")
     steps = 1 << int(np.ceil(np.log2(2 * np.pi * max(1.0, float(np.abs(np.linalg.eigvals(first)).max())) / STEP)))
@@ -401,13 +423,7 @@ def monodromy(problem: Balanced, w: Coefficients) -> np.ndarray | None:
 
 
 def _rates(problem: Balanced, w: Coefficients, times: np.ndarray) -> np.ndarray:
-    """The matrices (s x d x d) of the linearised equations at times (rad), d/dtau of (u, u')."""
-    n, motion = problem.equations.size, problem.basis.motion(problem.coefficients(w), times)
+    """The matrices (s x d x d) of the linearised equations of first order at times (rad)."""
+    motion = problem.basis.motion(problem.coefficients(w), times)
     slopes = problem.equations.slopes(times, motion, problem.values(w))
-    if not slopes[2].any():  # first order
-        return np.asarray(-np.linalg.solve(slopes[1], slopes[0]))
-    steady = not np.any(problem.equations.varying[:, 2] == 2)
-    inverse = np.linalg.inv(slopes[2][:1] if steady else slopes[2])
-    below = -(inverse @ np.concatenate([slopes[0], slopes[1]], axis=2))
-    above = np.broadcast_to(np.hstack([np.zeros((n, n)), np.eye(n)]), (times.size, n, 2 * n))
-    return np.concatenate([above, below], axis=1)
+    return np.asarray(-np.linalg.solve(slopes[1], slopes[0]))

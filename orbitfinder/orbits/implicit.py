@@ -115,7 +115,7 @@ class Variations:
         _, same, step, pushed, known, answers = self._steady
         apart = np.zeros((rows.size, STAGES, len(seen), STAGES))
         apart[i[:, None], stages, j[:, None], stages] = (slopes - same)[: len(varying)]
-        off = apart.reshape(count, -1)
+        off = apart.reshape(count, len(seen) * STAGES)
         forces = np.linalg.solve(np.eye(count) + off @ answers, off @ (known @ whole))
         return np.asarray(step @ whole - pushed @ forces)
 
