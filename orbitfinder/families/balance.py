@@ -299,15 +299,15 @@ class _Large:
 
     def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:
         located = [event for kept in seen if (event := self._event(kept, before.point, after.point)) is not None]
-        unstable, edges = [before.record.stability == "unstable"], [event.arclength for event in located]
-        for first, last in pairwise(edges):
+        words = [before.record.stability]
+        for first, last in pairwise(event.arclength for event in located):
             there = advanced(before.point, 0.5 * (first + last) - before.point.arclength)
-            unstable.append(exponents(there.problem, there.w).stability == "unstable")
-        unstable.append(after.record.stability == "unstable")
-        for event, (early, late) in zip(tuple(located), pairwise(unstable), strict=False):
-            if early != late:
-                located.append(replace(event, kind="stability_change", detail=BECOMES[late]))
-        if not located and unstable[0] != unstable[1]:
+            words.append(exponents(there.problem, there.w).stability)
+        words.append(after.record.stability)
+        for event, pair in zip(tuple(located), pairwise(words), strict=False):
+            if pair.count("unstable") == 1:
+                located.append(replace(event, kind="stability_change", detail=BECOMES[pair[1] == "unstable"]))
+        if not located and words.count("unstable") == 1:
             logging.getLogger(__name__).warning(
                 "stability changes between %s %.12g and %.12g, and no event is located there", self.parameter,
                 before.record.value, after.record.value)  # fmt: skip
@@ -408,14 +408,6 @@ def heading(point: Point) -> np.ndarray:
 def reverified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
     """Every event and end of a family of many coordinates, and verdicts on stability, each made again by implicit
     steps."""
-    name, cycles = family.parameter, int(family.curve.get("cycles", 1))
-    check = ImplicitCheck(model, tuple(family.points[0].free), cycles)
-    values = family.values("value")
-    for k, event in enumerate(family.events):
-        interrupt.check()
-        yield f"event {k}, {name} {event.parameter:.12g}", _again(family, check, event)
-    for k, end in enumerate(family.ends):
-        yield f"end {k}", _end_again(end, values[[0, -1]], float(np.abs(values).max()))
     words = np.array([point.stability for point in family.points])
     turns, every = np.flatnonzero(words[1:] != words[:-1]), np.arange(words.size)
     chosen = np.unique(np.concatenate([every[::TENTH], every[-1:], turns, turns + 1])).tolist()
@@ -425,6 +417,14 @@ def reverified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
         return next((point.stability if each.passed else each.note for each in made if each.name == "stability"), "")
 
     yield from verdicts(family, again, chosen)
+    name, cycles = family.parameter, int(family.curve.get("cycles", 1))
+    check = ImplicitCheck(model, tuple(family.points[0].free), cycles)
+    values = family.values("value")
+    for k, event in enumerate(family.events):
+        interrupt.check()
+        yield f"event {k}, {name} {event.parameter:.12g}", _again(family, check, event)
+    for k, end in enumerate(family.ends):
+        yield f"end {k}", _end_again(end, values[[0, -1]], float(np.abs(values).max()))
 
 
 def _end_again(end: End, values: np.ndarray, size: float) -> Check:
@@ -445,8 +445,8 @@ def _again(family: Family, check: ImplicitCheck, event: Event) -> Check:
     the parameter rests; elsewhere a multiplier of its own is recomputed on the unit circle."""
     try:
         model = with_parameters(check.model, event.free)
-        kind, mu = KINDS[event.kind], event.multiplier
-        turns = model.forced and abs(mu - 1.0) <= AGAIN and (kind.extremal or kind.verdict)
+        mu, beside = event.multiplier, (each for each in family.events if each.arclength == event.arclength)
+        turns = model.forced and abs(mu - 1.0) <= AGAIN and any(KINDS[each.kind].extremal for each in beside)
         seen = None if turns else gathered(model, event.state, event.period)[0]
         states = series(event.shooting_nodes, SAMPLED)
         units = extents_of(model, states, event.period)

@@ -5,16 +5,20 @@ s for d/dtau; exponents come again with every i, or 2 i among odd orders. About 
 
     A(sigma + theta) = A + theta B + theta^2 C,      (u, mu u) -> (mu u, -A^-1 (B mu u + C u)),   mu = 1 / theta,
 
-and Arnoldi's method finds the largest mu, a sparse factorisation a shift. Which shifts there are says the first
-order of averaging: with frequencies w_i, rates of decay g_i and modes of the mean matrices, the k-th harmonic K of the
-stiffness couples two modes by c = K_ij / 2 sqrt(w_i w_j), and where they are d = w_i + w_j - k off a resonance they
-grow by Re sqrt(((g_i - g_j + i d) / 2)^2 + c^2) - (g_i + g_j) / 2. With twice the c, pairs that grow are looked for,
-and what all others do at most bounds the `rest`: a bound of first order, by a factor of two. Of free motions, which
-nothing damps, all multipliers are computed by sparse steps of Gauss' method over the series, and where that is too much
-only those that grow are looked for. Of more coordinates than all modes are known of, the energy of `orbits.decay` is
-asked first; where it does not tell, slow modes are looked at: with kappa the size of K_k beside the mean K, c <= kappa
-sqrt(w_i w_j) / 2, so w_i + w_j <= k / (1 - kappa / 4 q) where a pair grows, q the least sqrt(g_i g_j) / (g_i + g_j),
-and none where kappa k / 4 is below all rates of decay.
+and Arnoldi's method finds the largest mu, a sparse factorisation a shift.
+
+All multipliers of up to `ALL` driven coordinates, and of free motions of up to `MOST_MODES`, are computed by sparse
+steps of Gauss' method over the series. Where that takes too many steps, and of more coordinates, the energy of
+`orbits.decay` is asked first. Where it proves nothing, averaging says which shifts there are: with frequencies w_i,
+rates of decay g_i and modes of the mean matrices, the k-th harmonic K of the stiffness couples two modes by c = K_ij /
+2 sqrt(w_i w_j), and where they are d = w_i + w_j - k off a resonance they grow by Re sqrt(((g_i - g_j + i d) / 2)^2 +
+c^2) - (g_i + g_j) / 2. The next order couples them by sums of c_il c_lj / |w_i +- w_l - k| over all modes l, by as much
+as which d is off too; each further order is smaller by the norm of the c / |w_i +- w_l - k|, the share, and where that
+is not small nothing is known. With twice the sum of the orders, pairs that grow are looked for, and what all others do
+at most bounds the `rest`. Of free motions only those that grow are looked for. Of more coordinates than all modes are
+known of, slow modes are looked at: with kappa the size of K_k beside the mean K, c <= kappa sqrt(w_i w_j) / 2, so w_i +
+w_j <= k / (1 - kappa / 4 q) where a pair grows, q the least sqrt(g_i g_j) / (g_i + g_j), and none where kappa k / 4 is
+below all rates of decay.
 Sources: B. Bentvelsen, A. Lazarus, Nonlinear Dyn. 91 (2018) 1349-1370; A. Nayfeh, D. Mook, Nonlinear Oscillations
 (1979), section 5.4.
 """
@@ -36,7 +40,7 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.collocation import tableau
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.symmetry import symplectic
-from orbitfinder.orbits.decay import Beside, decay, definite, extreme
+from orbitfinder.orbits.decay import Beside, Decay, decay, definite, extreme
 from orbitfinder.orbits.floquet import Floquet, judged, reduce_monodromy, verdict
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Pattern
 from orbitfinder.orbits.implicit import RESOLVED, SMALL, STAGES, Variations, truncated
@@ -52,7 +56,8 @@ exponents that grow where nothing damps, and what share of them their partners m
 ALIKE, ROUND_OFF = 1e-7, 1e-8
 """Exponents nearer than this are the same. Real parts below it are none"""
 MARGIN, SLIGHT, MOST_SHARE, NEARBY, MOST_SHIFTS = 2.0, 1e-6, 0.5, 0.05, 8
-"""By how much couplings may be larger than in first order; how far apart shifts are; shifts at most"""
+"""By how much couplings may be larger than by two orders; share of the largest harmonic that is none; share of an order
+in the one before it; how far apart shifts are; shifts at most"""
 ALL, EXACT = 100, 1e-14
 """Coordinates up to which all exponents of driven motions are computed; relative error of a monodromy at least"""
 SYMMETRIC, MOST_MODES, MODES = 1e-9, 400, 80
@@ -162,7 +167,7 @@ def _reduced(problem: Balanced, w: Coefficients, finer: int = 1) -> tuple[np.nda
     instants = np.split(np.linspace(0.0, length, INSTANTS), INSTANTS)
     worth = np.abs(np.fft.rfft(problem.sampled(w)[1], axis=1)).max(axis=0, initial=0.0)  # in a step as z^13 times that
     turning = (1 + odd) * np.arange(worth.size) * (worth / nonzero(worth.max(initial=0.0))) ** (1 / (2 * STAGES + 1))
-    fastest = max(float(turning.max()), 1.0, *(linear.fastest(slopes(each)[:, 0]) for each in instants))
+    fastest = max(1.0, turning.max(), *(linear.fastest(slopes(each)[:, 0]) for each in instants))
     steps = int(np.ceil(fastest * length / (RESOLVED if equations.names else SPARSE)))
     if steps > MOST_STEPS * length / (2 * np.pi):
         return None, 1, 0.0
@@ -198,17 +203,11 @@ def finer_indices(problem: Balanced, w: Coefficients) -> np.ndarray:
 def _few(problem: Balanced, w: Coefficients) -> Exponents:
     """Those near what may grow, of free motions those of them that do."""
     free, many = not problem.equations.names, problem.equations.size > MOST_MODES
-    why = ""
-    if many and not free:
-        proof = decay(problem, w)
-        if proof.rate > 0:
-            return Exponents(np.zeros(0, complex), -proof.rate)
-        why = proof.why
+    proof = Decay(0.0) if free else decay(problem, w)
+    if proof.rate > 0:
+        return Exponents(np.zeros(0, complex), -proof.rate)
     spacing = 1.0 if 0 in problem.basis.orders else 2.0
     suspects, reaches, rest, more = _suspects(problem, w)
-    if more and not many and not free:
-        proof = decay(problem, w)
-        rest, more, why = (-proof.rate, "", "") if proof.rate > 0 else (np.inf, more, proof.why)
     there = suspects - (spacing - 1.0)  # e^(i f tau) is e^(s tau) times an order, f - 1 is 0 among odd ones
     there = np.abs((there + spacing / 2) % spacing - spacing / 2)
     shifts = np.rint(there / NEARBY) * NEARBY
@@ -228,13 +227,15 @@ def _few(problem: Balanced, w: Coefficients) -> Exponents:
     if free:
         values, rest = _growing(problem, w, values), np.inf
         more = f"it has more than {MOST_MODES} coordinates" if many else f"its modes ask for over {MOST_STEPS} steps"
-        why, more = ("", "") if values else ("nothing damps it", more)
+        more = "" if values else f"nothing damps it; {more}"
     alone: list[complex] = []
     for value in sorted(values, key=lambda s: -s.real):
         there_ = complex(value.real, abs((value.imag + spacing / 2) % spacing - spacing / 2))
         if not any(abs(there_ - other) < ALIKE for other in alone):
             alone.append(there_)
-    return Exponents(np.array(alone, complex), rest, "; ".join(filter(None, (why, more))) if np.isinf(rest) else "")
+    return Exponents(
+        np.array(alone, complex), rest, "; ".join(filter(None, (proof.why, more))) if np.isinf(rest) else ""
+    )
 
 
 def _growing(problem: Balanced, w: Coefficients, values: list[complex]) -> list[complex]:
