@@ -13,7 +13,7 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.equilibrium import Equilibria, RestEvent
 from orbitfinder.families.handover import rescued
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.rest_problem import ROUND_OFF, AtRest, eigenvalues, lyapunov, oscillations, regular
+from orbitfinder.families.rest_problem import ROUND_OFF, AtRest, Stacked, lyapunov, oscillations, regular, spectrum
 from orbitfinder.families.start import FIRST_STEPS, Start, begin, corrected, curve_at, unknown_parameters
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.jets import at_rest
@@ -143,7 +143,7 @@ def _cycle(model: Model, name: str, born: RestEvent, by: type[March]) -> Start:
             continue
         place, metric = start.solution.place, start.curve.scales.states**-2.0
         moved = metric * (place.nodes[0] - born.state)
-        critical = eigenvalues(problem, z, place.free) / born.frequency
+        critical = spectrum(problem, Stacked(np.append(z, place.free))).values / born.frequency
         off = max(abs(place.period / born.period - 1), float(np.abs(critical - 1j).min()))
         if moved @ q.real > 0 and off < NEAR:
             return start if start.direction[: q.size] @ moved >= 0 else replace(start, direction=-start.direction)
