@@ -197,8 +197,7 @@ def _leaving(run: Run, rest: RestPoint) -> str:
     model = with_parameters(run.curve.equations.model, {**run.origin.free, name: rest.value})
     problem = regular(at_rest(model, (name,), rest.state), rest.state, values)
     z = np.append(rest.state, np.zeros(problem.jets.extra))
-    coefficient, error, _ = first_lyapunov(problem, z, values, 2 * np.pi / rest.period, ROUND_OFF * problem.z_sizes)
-    side = "degenerate" if abs(coefficient) <= error else "supercritical" if coefficient < 0 else "subcritical"
+    coefficient, _, side, _ = first_lyapunov(problem, z, values, 2 * np.pi / rest.period, ROUND_OFF * problem.z_sizes)
     grown = int(np.count_nonzero(rest.others.real > 0))
     beside = f" beside {plural(grown, 'eigenvalue')} that grow" if grown else ""
     return f"{side} (l1 = {coefficient:.6g}){beside}"

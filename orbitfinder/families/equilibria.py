@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -294,7 +294,7 @@ class Way:
             solutions.append((float(np.abs(gaps).max() + bars[-1] / problem.p_sizes[0]), form, extended, w, bars))
         if not solutions:
             return None
-        away, form, extended, w, bars = min(solutions, key=itemgetter(0))
+        away, form, extended, w, bars = min(solutions, key=lambda each: each[0] * (1.01 if each[1] == "fold" else 1.0))
         if away > 1e-3:
             return None  # another one
         d, w = problem.jets.size, Stacked(np.where(np.abs(w.vector) <= bars, 0.0, w.vector))  # 0 to its error bar
@@ -340,13 +340,12 @@ def _turning(
 ) -> dict[str, Any]:
     """Frequency, period, first Lyapunov coefficient with their error bars, and the criticality."""
     share = float(bars[3 * extended.count]) / (2 * kappa)
-    coefficient, error, q = first_lyapunov(extended, z, p, omega, bars[: z.size])
-    sure = abs(coefficient) > error
+    coefficient, error, side, q = first_lyapunov(extended, z, p, omega, bars[: z.size])
     period = 2 * np.pi / omega
     return {
         "frequency": omega, "period": period, "period_error": period * (share + 1e-15), "lyapunov": coefficient,
         "lyapunov_error": error, "direction": np.concatenate([q.real, q.imag]),
-        "criticality": ("supercritical" if coefficient < 0 else "subcritical") if sure else "degenerate",
+        "criticality": side,
     }  # fmt: skip
 
 

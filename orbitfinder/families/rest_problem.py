@@ -542,7 +542,7 @@ def lyapunov(
     problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float
 ) -> tuple[float, float, np.ndarray, np.ndarray, np.ndarray]:
     """The first Lyapunov coefficient of a Hopf point of frequency omega (rad/s), the size of its terms, and q, h11,
-    h20 (d) of its motions x + 2 Re(w q) + h11 |w|^2 + Re(h20 w^2).
+    h20 (d) of its motions x + 2 Re(w q) + h11 |w|^2 + Re(h20 w^2); nan and zeros at a resonance.
 
     l1 = Re [<p, C(q, q, q*)> - 2 <p, B(q, A^-1 B(q, q*))> + <p, B(q*, (2 i omega - A)^-1 B(q, q))>] / 2 omega.
     """
@@ -558,7 +558,10 @@ def lyapunov(
     def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
         return np.asarray(units * np.linalg.solve(matrix, np.append(right, np.zeros(len(problem.phase))) / rows))
 
-    mean, double = solved(gz, second @ q.conj()), solved(2 * turn * mass - gz, second @ q)
+    try:
+        mean, double = solved(gz, second @ q.conj()), solved(2 * turn * mass - gz, second @ q)
+    except np.linalg.LinAlgError:  # another pair at twice the frequency: a resonance
+        return np.nan, np.nan, q[:d], np.zeros(d), np.zeros(d)
     terms = np.array([third @ q.conj(), -2 * second @ mean, second.conj() @ double])
     parts = (weight.conj()[: terms.shape[1]] * terms) / (2 * omega)
     return float(parts.sum().real), float(np.abs(parts).sum()), q[:d], -mean[:d].real, double[:d]
@@ -566,11 +569,15 @@ def lyapunov(
 
 def first_lyapunov(
     problem: AtRest, z: np.ndarray, p: np.ndarray, omega: float, bars: np.ndarray
-) -> tuple[float, float, np.ndarray]:
-    """The first Lyapunov coefficient at an equilibrium with these error bars, its own error bar, and q."""
+) -> tuple[float, float, str, np.ndarray]:
+    """The first Lyapunov coefficient at an equilibrium with these error bars, its own error bar, supercritical |
+    subcritical | degenerate, and q; nan at a resonance."""
     coefficient, terms, q, *_ = lyapunov(problem, z, p, omega)
+    if np.isnan(coefficient):
+        return coefficient, np.nan, "degenerate", q
     bars, random = np.maximum(bars, ROUND_OFF * problem.z_sizes), np.random.default_rng(0)
     more = DISTURBED / float(np.abs(bars / problem.z_sizes).max())
     moved = [lyapunov(problem, z + more * bars * random.uniform(-1, 1, z.size), p, omega)[0] for _ in range(4)]
     error = 10 * float(np.abs(np.array(moved) - coefficient).max()) / more + 1e-12 * terms
-    return coefficient, error, q
+    side = "supercritical" if coefficient < -error else "subcritical" if coefficient > error else "degenerate"
+    return coefficient, error, side, q
