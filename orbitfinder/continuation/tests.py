@@ -117,12 +117,12 @@ class Crossing:
     ends: tuple[Roots, Roots]
 
     def value(self, roots: Roots, share: float, length: float) -> tuple[float, complex]:
-        """How far beyond its error bar the sum is by the roots at a share of the step, matched from the nearer end;
+        """How far below its error bar the sum is by the roots at a share of the step, matched from the nearer end;
         and its root, of two the upper or the larger."""
         k = int(abs(share - self.within[1]) < abs(share - self.within[0]))
         there = matched(self.ends[k], roots, (share - self.within[k]) * length)[0].chosen(self.entry)
         upper = max(there.values.tolist(), key=lambda root: (root.imag, root.real))
-        return float(np.sum(there.values.real - there.errors)), upper
+        return float(np.sum(there.errors - there.values.real)), upper
 
 
 def crossings(

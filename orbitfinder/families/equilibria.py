@@ -55,9 +55,9 @@ from orbitfinder.records.family import End, Reading
 
 PACE = Pace(first=0.01, shortest=1e-9, longest=0.05, points=400, bend=0.95, quick=4, slow=7, located=1e-6, closed=True)
 """Lengths are in the sizes of the state and of the parameter; events are solved for from where they are located"""
-PERFECT, APART = 100.0, 1e-4
+PERFECT, APART, ALIKE = 100.0, 1e-4, 1e-9
 """How many error bars of 0 the imperfection of a branch point is; events nearer to each other on the curve than this,
-and alike to their error bars, are the same"""
+and alike to their error bars, are the same; a fold so much nearer to where a root is 0 than a branch point is that"""
 LEAVING = (0.01, 0.002, 0.0004, 0.05)
 """How far from a branch point other equilibria are looked for; the first that succeeds is taken"""
 
@@ -294,7 +294,9 @@ class Way:
             solutions.append((float(np.abs(gaps).max() + bars[-1] / problem.p_sizes[0]), form, extended, w, bars))
         if not solutions:
             return None
-        away, form, extended, w, bars = min(solutions, key=lambda each: each[0] * (1.01 if each[1] == "fold" else 1.0))
+        away, form, extended, w, bars = min(
+            solutions, key=lambda each: each[0] * 1.01 + ALIKE if each[1] == "fold" else each[0]
+        )
         if away > 1e-3:
             return None  # another one
         d, w = problem.jets.size, Stacked(np.where(np.abs(w.vector) <= bars, 0.0, w.vector))  # 0 to its error bar

@@ -110,8 +110,10 @@ class Judge:
         """Whether the verdict on stability does, from the eigenvalues of differences of the rates; where these leave it
         open, from the recorded ones with error bars by the conditions of those."""
         slopes = self._differences(point.state, point.value, sizes, pace)[1]
-        values, left, right = decomposed(slopes)
         claimed, size = point.eigenvalues / pace, np.abs(slopes)
+        if not (np.isfinite(slopes).all() and np.isfinite(claimed).all() and claimed.size <= len(slopes)):
+            return False
+        values, left, right = decomposed(slopes)
         chosen = linear_sum_assignment(np.abs(claimed[:, None] - values))[1]
         left, right = left[chosen], right[:, chosen]
         bars = DIFFERED * felt(abs(left), size + 1e-3 * size.max(axis=1, keepdims=True), abs(right))
