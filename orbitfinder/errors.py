@@ -55,6 +55,9 @@ class ConvergenceError(OrbitfinderError):
 class DomainError(ConvergenceError):
     """The equations are not defined there: a division by 0, the logarithm or root of a negative number, an overflow."""
 
+    digits = 0.5
+    """share of the digits of a shortest step that is left there: a root ends in half of them"""
+
 
 class Hint(UserWarning):
     """Something that is allowed and yet looks like a slip."""

@@ -97,8 +97,7 @@ def _advanced(walk: Walk[B], length: float) -> B:
             return walk.advance(length)
         except (ConvergenceError, IntegrationError) as error:
             length /= 2
-            digits = 0.5 if isinstance(error, DomainError) else 1.0  # where a root ends, half of them are left
-            if length < walk.shortest() ** digits:
+            if length < walk.shortest() ** getattr(error, "digits", 1.0):
                 return walk.failed(str(error))
 
 

@@ -34,7 +34,7 @@ GROWTH, SHARE, INTERVALS, HALVINGS = 1e-3, 0.02, 40, 12
 amplitude where no normal form tells it; the intervals of its mesh of collocation; how often it is halved"""
 LEAST, MOST, NEAR = 1e-6, 0.05, 0.1
 """What is not linear of the rates along a first cycle, relative to what is, without a normal form at least and always
-at most; a cycle that is found belongs to a Hopf point where period and critical eigenvalue are as near as this"""
+at most; a cycle that is found belongs to a Hopf point where the critical eigenvalue has changed by less than this"""
 
 
 def cycle_start(
@@ -66,14 +66,15 @@ def mode_start(
         raise InputError(f"event: no energy is kept, so that nothing leaves the equilibrium at the {which}; cycles "
                          "leave at Hopf points, by their numbers")  # fmt: skip
     problem = regular(at_rest(model, (name,), rest.state), rest.state, value)
-    frequencies, shapes = oscillations(problem, np.pad(rest.state, (0, problem.jets.extra)), value)
+    z = np.pad(rest.state, (0, problem.jets.extra))
+    frequencies, shapes = oscillations(problem, z, value)
     if not 1 <= mode <= frequencies.size:
         raise InputError(f"branch: {mode} asked for, {frequencies.size} modes oscillate at the {which}; the slowest "
                          "is 1")  # fmt: skip
     omega, q, n = float(frequencies[mode - 1]), shapes[:, mode - 1], model.degrees_of_freedom
     largest = (q / problem.z_sizes[: q.size])[:n]
     q = q / largest[np.abs(largest).argmax()]  # at rest where it is largest
-    size = _fitting(problem, rest.state, value, q, omega, SHARE, LEAST)
+    size = _fitting(problem, z, value, q, omega, SHARE, LEAST)
     state, period = rest.state + size * q.real, 2 * np.pi / omega
     if model.constraint is not None:
         own = hamilton(model).coordinates
@@ -84,12 +85,12 @@ def mode_start(
 
 
 def _fitting(
-    problem: AtRest, state: np.ndarray, values: np.ndarray, q: np.ndarray, omega: float, size: float, least: float
+    problem: AtRest, z: np.ndarray, values: np.ndarray, q: np.ndarray, omega: float, size: float, least: float
 ) -> float:
     """The amplitude a, by halving and doubling a `size`, at which the rates along x + a Re(q e^(i theta)) are linear
     but for a share of `least` to `MOST` of their part in q; the size itself where no doubling comes to `least`."""
-    z, turn = np.pad(state, (0, problem.jets.extra)), omega / problem.pace
-    u, gz = np.pad(q, (0, problem.jets.extra)) / problem.z_sizes, problem.scaled(z, values)[1]
+    turn, gz = omega / problem.pace, problem.scaled(z, values)[1]
+    u = np.pad(q, (0, z.size - q.size)) / problem.z_sizes
     shifted = gz - (1 + 1e-7) * 1j * turn * np.diag(problem.mass)
     weight = np.linalg.solve(shifted.conj().T, u).conj()  # q's part among equal eigenvalues too
     weight = 2 / (turn * (weight @ (problem.mass * u))) * weight
@@ -126,7 +127,7 @@ def _cycle(model: Model, name: str, born: RestEvent, by: type[March]) -> Start:
     size, least = SHARE / float(np.abs(q / problem.z_sizes[: q.size]).max()), LEAST
     if born.criticality:
         size, least = 2 * float(np.sqrt(GROWTH / abs(born.lyapunov))), 0.0
-    size = _fitting(problem, born.state, value, q, born.frequency, size, least)
+    size = _fitting(problem, z, value, q, born.frequency, size, least)
     equations, why = Equations.of(model, named(NONE.name, model), (name,), by), "none was tried"
     mesh = uniform(1.0, count, 1 if gridded else FIRST_STEPS)
     turning = np.exp(2j * np.pi * np.arange(count)[:, None] / count)
@@ -141,11 +142,10 @@ def _cycle(model: Model, name: str, born: RestEvent, by: type[March]) -> Start:
         except (ConvergenceError, IntegrationError) as error:
             why = str(error)
             continue
-        place, metric = start.solution.place, start.curve.scales.states**-2.0
-        moved = metric * (place.nodes[0] - born.state)
+        place = start.solution.place
         critical = spectrum(problem, Stacked(np.append(z, place.free))).values / born.frequency
-        off = max(abs(place.period / born.period - 1), float(np.abs(critical - 1j).min()))
-        if moved @ q.real > 0 and off < NEAR:
-            return start if start.direction[: q.size] @ moved >= 0 else replace(start, direction=-start.direction)
-        why = f"what is found there is the equilibrium, or a cycle at {name} = {place.free[0]:.6g} that is not near"
+        if np.abs(critical - 1j).min() < NEAR:
+            away = start.direction[: q.size] @ (q.real * start.curve.scales.states**-2.0)
+            return replace(start, direction=np.copysign(1.0, away) * start.direction)
+        why = f"the cycle that is found there is at {name} = {place.free[0]:.9g}, which is not near"
     raise ConvergenceError(f"no cycle was found at the Hopf point at {name} = {born.parameter:.9g}: {why}")

@@ -269,8 +269,8 @@ def first_point(start: Start, settings: FamilySettings, check: ClosureCheck | No
     head, curve = start.direction, start.curve
     if parameter_slopes(curve, start.solution.place, head)[settings.parameter] < 0:
         head = -head
-    where: dict[str, Any] = {"index": 0, "arclength": 0.0, "step": settings.first_step}
-    whole = start.solution.place.over(head)
+    whole, step = start.solution.place.over(head), settings.first_step
+    where: dict[str, Any] = {"index": 0, "arclength": 0.0, "step": step}
     return checked_point(curve, start.solution, whole, settings.parameter, check, None, **where)[0]
 
 
