@@ -1,5 +1,6 @@
 """The first cycle of a Hopf point in every unit and place; branches and families that leave their equations' domain."""
 
+import importlib
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from click.testing import CliRunner
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
-from orbitfinder.errors import DomainError
+from orbitfinder.errors import DomainError, InputError
 from orbitfinder.families.ends import end_of_failure
 from orbitfinder.families.rest_certificate import verified
 from orbitfinder.families.rest_problem import regular
@@ -187,3 +188,33 @@ def test_a_family_ends_where_its_equations_do():
     end = family.ends[-1]
     assert end.kind == "singularity" and "beyond [ 0.49" in end.reason and "not defined" in end.reason
     assert family.points[-1].value == pytest.approx(0.2505, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_a_diagram_whose_family_is_one_orbit_failed(monkeypatch):
+    """It was followed, and the command ended with 0."""
+    family_diagram = importlib.import_module("orbitfinder.families.diagram")  # where the package has the function
+    end, follow = End("step underflow", "step below 1e-07: stopped"), family_diagram.follow_family
+
+    def short(*given, **options):
+        family = follow(*given, **options | {"points": 1})
+        return replace(family, points=family.points[:1], ends=(end,))
+
+    monkeypatch.setattr(family_diagram, "follow_family", short)
+    (fork,) = of.diagram(normal_form(1.0, 0.0), [0.0, 0.0], "mu", 1.0, depth=1).branchings
+    assert fork.became == "failed" and fork.words.endswith(end.reason) and fork.leads == ("equilibria-0/family.json",)
+
+
+def test_no_warning_of_numpy_reaches_a_user(monkeypatch):
+    """Whatever a command computes: what is not finite is judged where it is used."""
+    known = []
+
+    def read(*_):
+        known.append(np.geterr())
+        raise InputError("file: of the test")
+
+    monkeypatch.setattr("orbitfinder.problemfile.read.load_problem_file", read)
+    answer = CliRunner().invoke(
+        cli, ["diagram", str(DATA / "oscillator-offset.toml"), "--parameter", "mu", "--until", "1"]
+    )
+    assert answer.exit_code == 2 and set(known[0].values()) == {"ignore"}
