@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from scipy.integrate import simpson
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.integrate.extent import extent
@@ -141,8 +141,13 @@ def _stated(text: str, model: Model, where: str) -> Number:
 
 def range_of(times: np.ndarray, states: np.ndarray) -> np.ndarray:
     """Least and greatest values (2 x d) of a motion, between its samples too."""
-    both = np.array([extent(times[arc], states[arc]) for arc in arcs(times)])
+    parts = [(times[arc], states[arc]) for arc in arcs(times)]
+    both = np.array([extent(t, x, _spline(t, x)(t, nu=1)) for t, x in parts])
     return np.array([both[:, 0].min(axis=0), both[:, 1].max(axis=0)])
+
+
+def _spline(times: np.ndarray, values: np.ndarray) -> BSpline:
+    return make_interp_spline(times, values, min(7, times.size - 1))
 
 
 def mean(times: np.ndarray, values: np.ndarray) -> float:
@@ -152,7 +157,7 @@ def mean(times: np.ndarray, values: np.ndarray) -> float:
     for arc in arcs(times):
         t, own = times[arc], values[arc]
         equal = np.ptp(np.diff(t)) < 1e-12 * np.ptp(t)
-        total += simpson(own, x=t) if equal else make_interp_spline(t, own, min(7, t.size - 1)).integrate(t[0], t[-1])
+        total += simpson(own, x=t) if equal else _spline(t, own).integrate(t[0], t[-1])
     return float(total / (times[-1] - times[0]))
 
 

@@ -527,12 +527,12 @@ def reverted(event: Event) -> Event:
 def _listed(family: Family) -> Family:
     """A family whose changes of stability are in the order of its points: older files say of those before its start how
     it was followed there, away from it."""
-    told = [
-        replace(event, detail=BECOMES[after == "unstable"])
-        if event.arclength < 0 and event.detail in BECOMES and "unstable" in (before, after) else event
-        for event, (before, after) in zip(family.events, family.sides, strict=True)
-    ]  # fmt: skip
-    return replace(family, events=tuple(told))
+    backwards = [
+        event.arclength < 0 and event.detail in BECOMES and (after == "unstable") != (event.detail == BECOMES[1])
+        for event, (_, after) in zip(family.events, family.sides, strict=True)
+    ]
+    events = (reverted(event) if event.arclength < 0 else event for event in family.events)
+    return replace(family, events=tuple(events)) if any(backwards) else family
 
 
 @dataclass(frozen=True)
