@@ -341,8 +341,12 @@ class Family(Tabled):
         """One number of every point as an array, in order along the family: of a parameter, a watched number, of its
         orbit (period, energy, closure, ...) or an extent of its table (amplitude_C, min_C, max_C, largest_multiplier).
         Raises `InputError` for others."""
-        columns = self.tables()["points"] if re.match("(amplitude|min|max|largest)_", name) else {}
-        return np.asarray(columns[name] if name in columns else [self.value(point, name) for point in self.points])
+        try:
+            return np.asarray([self.value(point, name) for point in self.points])
+        except InputError:
+            if re.match("(amplitude|min|max|largest)_", name) and name in (columns := self.tables()["points"]):
+                return np.asarray(columns[name])
+            raise
 
     def value(self, member: FamilyPoint | Event, name: str) -> Any:
         """The same of a point or an event."""
