@@ -21,7 +21,7 @@ from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, next_step, n
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.certificate import certified
 from orbitfinder.records.ends import stuck
-from orbitfinder.records.family import Batch, Event, number_of
+from orbitfinder.records.family import Batch, Event, number_of, reverted
 from orbitfinder.records.registry import held, member
 
 if TYPE_CHECKING:
@@ -352,9 +352,10 @@ def _reporter(
         interrupt.check()
         steps.append(batch)
         seen[0] += len(batch.points)
-        events.extend(batch.events)
+        fresh = [*map(reverted, batch.events)]
+        events.extend(fresh)
         system.update(*(point.system for point in batch.points[:1]))
-        for event in () if shown.live else batch.events:
+        for event in () if shown.live else fresh:
             shown.say(event_words(event, parameter, system))
         if not batch.points:
             return

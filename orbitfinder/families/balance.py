@@ -521,8 +521,7 @@ class _Direction:
                 seen = [e for e in curve.events if before.point.arclength < e.point.arclength <= kept.point.arclength]
                 events = self.own.events(before, kept, seen)
             self.points.append(kept)
-            listed = events if self.sign > 0 else map(reverted, events)
-            self.events += [replace(event, arclength=self.sign * event.arclength) for event in listed]
+            self.events += [replace(event, arclength=self.sign * event.arclength) for event in events]
             if progress:
                 new = tuple(self.events[len(self.events) - len(events) :])
                 progress(Batch(int(self.sign), (self._placed(kept),), new))
@@ -582,7 +581,7 @@ def _assembled(own: Any, runs: Sequence[_Direction], source: Mapping[str, Any]) 
     system, entry = dict(own.problem.model.system), own.entry
     points = [situated(point, k, own.name, system, entry) for k, point in enumerate(points)]
     lengths = [point.arclength for point in points]
-    events = sorted((event for run in walked for event in run.events), key=attrgetter("arclength"))
+    events = sorted((reverted(event) for run in walked for event in run.events), key=attrgetter("arclength"))
     events = [replace(event, index=int(np.searchsorted(lengths, event.arclength)) - 1) for event in events]
     return Family(own.name, system, own.settings.parameter, tuple(points), tuple(events),
                   tuple(run.end for run in walked), entry, source)  # fmt: skip

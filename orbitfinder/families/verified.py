@@ -297,8 +297,7 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         before, after = _neighbours(family, event)
         _told(family, curve, event, abs(after.value - before.value), abs(after.energy - before.energy))
         along, step, old = _head(after) - _head(before), after.arclength - before.arclength, event.check
-        if event.arclength < 0:  # as it was followed
-            event, along = reverted(event), -along
+        event, along = reverted(event), along if event.arclength >= 0 else -along  # as it was followed
         again = _read_again(curve, event, along, step, family.parameter)
         if old is not None and not (old.passed and abs(old.value - again.value) <= old.error + again.error):
             raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {again.value:.3g}")

@@ -524,8 +524,10 @@ def _turns(curve: Mapping[str, Any], size: int) -> tuple[int, ...]:
 
 
 def reverted(event: Event) -> Event:
-    """The event as a family says that is followed the other way."""
-    return replace(event, detail=BECOMES[event.detail == BECOMES[0]]) if event.detail in BECOMES else event
+    """An event in the order of the points, if it is in that in which a family was followed, and back: before its start
+    they differ."""
+    changes = event.arclength < 0 and event.detail in BECOMES
+    return replace(event, detail=BECOMES[event.detail == BECOMES[0]]) if changes else event
 
 
 def _listed(family: Family) -> Family:
@@ -535,8 +537,7 @@ def _listed(family: Family) -> Family:
         event.arclength < 0 and event.detail in BECOMES and (after == "unstable") != (event.detail == BECOMES[1])
         for event, (_, after) in zip(family.events, family.sides, strict=True)
     ]
-    events = (reverted(event) if event.arclength < 0 else event for event in family.events)
-    return replace(family, events=tuple(events)) if any(backwards) else family
+    return replace(family, events=tuple(map(reverted, family.events))) if any(backwards) else family
 
 
 @dataclass(frozen=True)
@@ -593,8 +594,8 @@ def assemble(journal: Journal) -> Family:
     about = header["name"], header["system"], header["curve"]
     numbered = tuple(situated(point, k, *about) for k, point in enumerate(points))
     places = np.array([point.arclength for point in numbered])
-    said = (reverted(event) if batch.direction < 0 else event for batch in journal.batches for event in batch.events)
-    events = sorted(said, key=attrgetter("arclength"))
+    listed = (reverted(event) for batch in journal.batches for event in batch.events)
+    events = sorted(listed, key=attrgetter("arclength"))
     indexed = tuple(replace(event, index=int(np.searchsorted(places, event.arclength)) - 1) for event in events)
     ends = tuple(end for end in (journal.end(-1), journal.end(1)) if end is not None)
     more = header["curve"], header.get("source", {})
