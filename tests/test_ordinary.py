@@ -15,6 +15,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.families.branches import Branch
 from orbitfinder.families.folder import _request
 from orbitfinder.families.point import FamilySettings
+from orbitfinder.records.certificate import Certificate, refused
 from orbitfinder.records.family import Event, load_family
 from orbitfinder.records.registry import load_orbit
 
@@ -104,3 +105,9 @@ def test_the_time_left_is_no_more_than_the_limit_leaves():
     with limit.limited(5.0):
         said = time_left(0.0)(1e-9, 1e9)
     assert float(said.removeprefix(", ").removesuffix(" s left")) <= 5.0
+
+
+def test_certificates_that_do_not_know_a_number_are_equal():
+    """A refused check has nan for its value, another object in each file that is read."""
+    one, two = (Certificate((refused("closure", ValueError("lost"), float(text)),)) for text in ("nan", "NaN"))
+    assert one == two and hash(one) == hash(two) and one != Certificate(())

@@ -15,7 +15,7 @@ AT_MOST, AT_LEAST, EQUAL = "\N{LESS-THAN OR EQUAL TO}", "\N{GREATER-THAN OR EQUA
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(Shown):
     """A question asked of an orbit: its number, the number allowed, the answer."""
 
     _sparse = ("asked",)
