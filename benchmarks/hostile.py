@@ -165,7 +165,7 @@ def renumbered(text, random):
             text = "\n".join(lines)
         elif act == "many" and lines:
             k = int(random.integers(len(lines)))
-            lines[k] = lines[k] * int(random.choice([2, 30, 3000]))
+            lines[k] = lines[k] * min(int(random.choice([2, 30, 3000])), 1_000_000 // (len(lines[k]) + 1))
             text = "\n".join(lines)
     return text
 

@@ -143,7 +143,7 @@ def _collada(data: bytes) -> Solid:
 
     def walk(node: ElementTree.Element, before: np.ndarray) -> None:
         nonlocal spent
-        here, spent = before, spent + 200
+        here, spent = before, spent + 500
         for part in node:
             here = here @ _moved(part)
         for part in node:

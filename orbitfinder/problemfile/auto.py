@@ -107,7 +107,7 @@ def _numbers(source: Path, lines: Sequence[str]) -> np.ndarray:
     """All numbers of some lines; Fortran leaves out the E of exponents of three digits, and writes D."""
     text = re.sub(r"(?<=\d)[dD]?([+-]\d{3})\b", r"E\1", " ".join(lines)).replace("D", "E")
     try:
-        numbers = np.array([float(word) for word in text.split()])
+        numbers = np.fromiter((float(word[0]) for word in re.finditer(r"\S++", text)), float)
     except ValueError as error:
         raise InputError(f"{source}: {error}; give s.NAME, fort.8 or NAME.dat of AUTO-07p") from error
     return numbers

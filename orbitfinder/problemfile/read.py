@@ -346,7 +346,7 @@ def read_trajectory(
     `controls`, where the header names them, which are not read."""
     source = file_beside(folder, name, "guess.csv")
     try:
-        lines = file_bytes(source, "CSV file").decode("utf-8-sig").splitlines()
+        lines = file_bytes(source, "CSV file", 20_000_000).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise InputError(f"guess.csv: {name!r} is not UTF-8 text; save it as plain CSV") from error
     except InputError as error:
