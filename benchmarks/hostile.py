@@ -409,11 +409,10 @@ def done(what, kind, given):
     return result.exit_code, result.output
 
 
-def tried(kind, number, folder):
+def tried(what):
     """How a mutant ended: "read", "refused", or what is wrong."""
     from orbitfinder.errors import Hint, OrbitfinderError
 
-    what = mutant(kind, number, folder)
     said = ""
     try:
         with warnings.catch_warnings(record=True) as seen:
@@ -451,11 +450,13 @@ def work():
 
     for line in sys.stdin:
         kind, number = line.split()
-        began = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
-            end = tried(kind, int(number), Path(folder))
+            what = mutant(kind, int(number), Path(folder))
+            began = time.perf_counter()
+            end = tried(what)
+            seconds = time.perf_counter() - began
         peak = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        answers.write(json.dumps([end, time.perf_counter() - began, peak]) + "\n")
+        answers.write(json.dumps([end, seconds, peak]) + "\n")
         answers.flush()
 
 

@@ -178,15 +178,15 @@ class Equilibria(Tabled):
             raise ValueError("points: expected one at least, all of one number of components and eigenvalues")
         check_curve(self.curve)
         shape, size = self.points[0].state.shape, 2 * ("parameters" in self.curve)
-        groups: dict[str, tuple[Equilibrium | RestEvent, ...]] = {"points": self.points, "events": self.events}
-        for kind, members in groups.items():
-            for k, member in enumerate(members):
-                if member.state.shape != shape or np.size(member.values) != size:
-                    raise ValueError(f"{kind}[{k}]: state or values: {member.state.size} and {np.size(member.values)} "
-                                     f"numbers where the curve has {shape[0]} and {size}")  # fmt: skip
-                place = member.parameter if isinstance(member, RestEvent) else member.value
-                if not max(abs(place), np.abs(member.state).max(initial=0.0)) < 1e100:
-                    raise ValueError(f"{kind}[{k}]: parameter, value or state is beyond 1e+100")
+        members: tuple[Equilibrium | RestEvent, ...] = (*self.points, *self.events)
+        for k, member in enumerate(members):
+            where = f"events[{k - len(self.points)}]" if k >= len(self.points) else f"points[{k}]"
+            place = member.parameter if isinstance(member, RestEvent) else member.value
+            if member.state.shape != shape or np.size(member.values) != size:
+                raise ValueError(f"{where}: state or values: {member.state.size} and {np.size(member.values)} numbers "
+                                 f"where the curve has {shape[0]} and {size}")  # fmt: skip
+            if not max(abs(place), np.abs(member.state).max()) < 1e100:
+                raise ValueError(f"{where}: parameter, value or state is beyond 1e+100")
 
 
 EQUILIBRIA = "equilibria"

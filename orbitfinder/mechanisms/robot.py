@@ -9,8 +9,10 @@ extra [robot].
 from __future__ import annotations
 
 import codecs
-import contextlib
 import hashlib
+import html
+import os
+import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -306,15 +308,11 @@ def _tree(folder: Path) -> Path:
 def _beside(folder: Path, name: str) -> Path:
     """Where a mesh lies: beside the file, or for package://PACKAGE/PATH in a folder above it. Raises `InputError`."""
     scheme, _, rest = name.rpartition("://")
-    package, _, within = rest.partition("/")
-    tree, outside = _tree(folder), False
-    for base in [folder.resolve(), *folder.resolve().parents] if scheme == "package" else [folder]:
-        for part in (rest, within) if scheme == "package" else (rest,):
-            if "\0" not in part and part and (base / part).is_file():
-                place, other = (base / part).resolve(), (base / package).resolve()
-                if place.is_relative_to(tree) or (
-                    scheme == "package" and place.is_relative_to(other) and (other / "package.xml").is_file()
-                ):
+    tree, outside, package = _tree(folder), False, scheme == "package"
+    for base in [folder.resolve(), *folder.resolve().parents] if package else [folder]:
+        for part in (rest, rest.partition("/")[2]) if package else (rest,):
+            if part and os.path.isfile(base / part):
+                if (place := (base / part).resolve()).is_relative_to(tree):
                     return place
                 outside = True
     where = f"lies outside the robot's folder {tree.name}" if outside else "is not there"
@@ -323,25 +321,21 @@ def _beside(folder: Path, name: str) -> Path:
 
 def _check_files(path: Path) -> None:
     """`InputError` for a file outside the robot's folder that an MJCF file, or what it includes, names."""
-    tree, files, names, folders = _tree(path.parent), [path.resolve()], dict[str, None](), dict[Path, None]()
+    tree, files, names, folders = _tree(path.parent), [path.resolve()], set[str](), set[Path]()
     for file in files:
-        folders[file.parent] = None
-
-        def element(_: str, attributes: dict[str, str], beside: Path = file.parent) -> None:
-            folders.update({beside / text: None for key, text in attributes.items() if key.endswith("dir")})
-            names.update({text: None for key, text in attributes.items() if key.startswith("file")})
-
-        parser = expat.ParserCreate()
-        parser.StartElementHandler = element
-        with contextlib.suppress(expat.ExpatError, ValueError, LookupError):  # MuJoCo says what is wrong
-            parser.Parse(file_bytes(file, "MJCF file", LARGEST), True)
+        text = html.unescape(file_bytes(file, "MJCF file", LARGEST).decode(errors="replace"))
+        told = re.findall(r"""\b(file\w*|\w*dir)\s*=\s*["']([^"']*)""", text)
+        names |= {value for key, value in told if not key.endswith("dir")}
+        folders |= {file.parent, *(file.parent / value for key, value in told if key.endswith("dir"))}
         if len(names) * len(folders) > 10_000:
             raise InputError(f"file: {path.name} names {len(names)} files in {len(folders)} folders; give fewer")
-        for place in (folder / name for folder in folders for name in names if "\0" not in name):
-            if place.is_file() and not place.resolve().is_relative_to(tree):
+        for place in (folder / name for folder in folders for name in names):
+            if not os.path.isfile(place) or place.resolve() in files:
+                continue
+            if not place.resolve().is_relative_to(tree):
                 raise InputError(f"file: {path.name}: {place.name} lies outside the robot's folder {tree.name}; put it "
                                  "inside")  # fmt: skip
-            if place.suffix == ".xml" and place.is_file() and place.resolve() not in files:
+            if place.suffix == ".xml":
                 files.append(place.resolve())
 
 
