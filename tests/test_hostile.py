@@ -81,6 +81,7 @@ MATRICES = {
     "form": packed(format=np.array(b"evil")),
     "no-form": packed(format=np.ones((3000, 3000))),
     "no-data": npz(format=np.array(b"csr"), shape=np.array([2, 2])),
+    "number": packed(format=np.array(3.0)),
     "objects": npz(a=np.array([{}, {}], object)),
     "several": npz(a=EYE, b=EYE),
     "long": npz(a=np.ones((1, 2))),

@@ -190,7 +190,7 @@ def _packed(data: bytes) -> Any:
     for name in {"indices", "indptr", "row", "col", "offsets", "shape"} & members.keys():
         if members[name].dtype.kind != "i":
             raise ValueError(f"{name} are not whole numbers")
-    if members["format"].size != 1:
+    if members["format"].size != 1 or members["format"].dtype.kind not in "SU":
         raise ValueError("its format is not a word")
     return sparse.load_npz(BytesIO(data))  # whose indices are checked before anything goes by them
 
