@@ -448,9 +448,11 @@ def work():
         resource.setrlimit(resource.RLIMIT_AS, (8_000_000_000, 8_000_000_000))
     import orbitfinder.cli.group  # noqa: F401
 
+    from orbitfinder._runtime.guard import guarded
+
     for line in sys.stdin:
         kind, number = line.split()
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as folder, guarded(says=False):  # as a command is
             what = mutant(kind, int(number), Path(folder))
             began = time.perf_counter()
             end = tried(what)
@@ -485,6 +487,8 @@ class Watched:
         if not line:
             code = self.process.wait()
             self.process = None
+            if code == 1:  # how `guard` ends a command that does not hear its deadline
+                return "refused", LIMIT
             return f"death: exit code {code}", 0.0
         end, seconds, peak = json.loads(line)
         if peak > MEMORY:
