@@ -447,7 +447,6 @@ def work():
     with contextlib.suppress(ValueError):
         resource.setrlimit(resource.RLIMIT_AS, (8_000_000_000, 8_000_000_000))
     import orbitfinder.cli.group  # noqa: F401
-
     from orbitfinder._runtime.guard import guarded
 
     for line in sys.stdin:
