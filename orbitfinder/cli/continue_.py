@@ -130,6 +130,8 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
     folder = out / family.name
     written = of.save_figures(family, folder, model_in(origin, model, family)) if chosen["figures"] else []
     text(f"{folder / 'family.json'}: {family.counts}")
+    for line in family.unknown:
+        text(f"  {line}")
     for end in family.ends:
         text(f"  ended: {end.kind} ({end.reason})")
     for k in (asked := reached(family, at)):
@@ -145,7 +147,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
     else:
         next_step("page", folder, "-o site")
     document = summary(family) | {"at": asked, "written": [folder / "family.json", *written]}
-    finish("continue", document, not stuck(family))
+    finish("continue", document, not stuck(family) and not family.unknown)
 
 
 READ = (
@@ -253,7 +255,7 @@ def summary(family: of.Family) -> dict[str, Any]:
     return {
         "name": family.name, "parameter": family.parameter, "parameters": list(family.parameters),
         "points": len(family.points),
-        "certified": sum(point.certified for point in family.points), "events": events,
+        "certified": sum(point.certified for point in family.points), "events": events, "unknown": family.unknown,
         "ends": [{k: v for k, v in vars(end).items() if v is not None and k != "joined"} for end in family.ends],
     }  # fmt: skip
 

@@ -75,11 +75,11 @@ def diagram(
     for curve in made.curves:
         for line in happened(made, curve):
             text(f"  {curve.file} {line}")
-    for line in made.remarks:
+    for line in (*made.unknown, *made.remarks):
         text(f"  {line}")
     next_step("verify", written[0])
     fine = all(branching.became in ("followed", "joined", "depth") for branching in made.branchings)
     document = {"name": made.name, "parameter": parameter, "between": made.between, "curves": made.curves,
                 "branchings": made.branchings, "undone": made.undone, "remarks": made.remarks,
                 "written": written}  # fmt: skip
-    finish("diagram", document, fine and not any(" stops: " in line for line in made.undone))
+    finish("diagram", document, fine and not made.unknown and not any(" stops: " in line for line in made.undone))

@@ -197,6 +197,8 @@ def _written(job: ProblemJob, orbit: Orbit, model: Model, began: float) -> Outco
             written += save_figures(orbit, folder, model)
     failures = certificate.failures if certificate else ("no certificate",)
     remedy = "" if passed or not (by := orbit.provenance.get("method")) else named(by).remedy
+    if "distance" in failures and not orbit.system.get("invariants"):
+        remedy = remedy or "a multiplier too near 1 leaves it open: declare what is conserved in [system.invariants]"
     return Outcome(
         orbit.name, str(job.file), "certified" if passed else "rejected",
         f"certified{_among(orbit)}" if passed else f"not an orbit: {explained(certificate)}",

@@ -132,7 +132,14 @@ class BifurcationDiagram(Tabled):
         """What was left undone and why, a sentence each."""
         left = [f"{fork.file}, {fork.words}" for fork in self.branchings if fork.became not in ("followed", "joined")]
         ends = [(curve.file, end) for curve in self.curves for end in curve.record.ends]
-        return (*left, *(f"{file} stops: {end.reason}" for file, end in ends if end_kind(end.kind).lengthened))
+        stops = [f"{file} stops: {end.reason}" for file, end in ends if end_kind(end.kind).lengthened]
+        return (*left, *stops, *self.unknown)
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Where the stability of cycles changes and no event says how, a sentence each."""
+        cycles = [curve for curve in self.curves if isinstance(curve.record, Family)]
+        return tuple(f"{curve.file}, {sentence}" for curve in cycles for sentence in curve.record.unknown)
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -462,7 +462,7 @@ def _finish(
             for batch in follow(run, done):
                 reached = [point for point in batch.points if point.role == "step"][-1:]
                 step = abs(reached[0].arclength - last.arclength) if reached else last.step
-                batch, last = checked(curve, batch, step, settings.parameter), (*reached, last)[0]
+                batch, last = checked(curve, batch, step, settings.parameter, last), (*reached, last)[0]
                 batch = batch_certified(curve, batch) if settings.certify else batch
                 known = replace(journal, batches=tuple(batches)) if batch.end else None
                 if known and (other := handed_over(folder, known, run, batch.end, last)):

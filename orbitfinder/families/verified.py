@@ -50,6 +50,7 @@ from orbitfinder.families.start import by_series, curve_in, fitted
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.field import vector_field
 from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.condensed import Jacobian
 from orbitfinder.loops.continued import (
     Curve,
     Solution,
@@ -77,6 +78,7 @@ from orbitfinder.records.ends import end_fault
 from orbitfinder.records.family import (
     AGAIN,
     CLOSURE,
+    DECIDED,
     UNKNOWN,
     Batch,
     End,
@@ -122,11 +124,8 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
     result, slope = None, None if curve.test is not None or crossed(curve, solution) else solution.jacobian
     for share, outer in SHARES:
         try:
-            looks = [
-                Probe(curve, correct(curve, advanced(solution.place, whole, d), plane(curve, solution.place, whole, d),
-                                    solution.place, 0.5 * step, slope))
-                for d in step * share * np.array([-2, -1, 0, 1, 2] if outer else [-1, 0, 1])
-            ]  # fmt: skip
+            shares = step * share * np.array([-2, -1, 0, 1, 2] if outer else [-1, 0, 1])
+            looks = [Probe(curve, _corrected(curve, solution, whole, d, 0.5 * step, slope)) for d in shares]
             before, middle, after = looks[outer : len(looks) - outer]
             sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else (),
                           parameter, share == SHARES[-1][0])  # fmt: skip
@@ -142,6 +141,17 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
     if result is None:
         raise said
     return result
+
+
+def _corrected(
+    curve: Curve, solution: Solution, whole: np.ndarray, d: float, reach: float, slope: Jacobian | None
+) -> Solution:
+    """The orbit so much arclength from another; where its `slope` does not lead there, by the orbit's own."""
+    given = curve, advanced(solution.place, whole, d), plane(curve, solution.place, whole, d), solution.place, reach
+    try:
+        return correct(*given, slope)
+    except ConvergenceError:
+        return correct(*given)
 
 
 def settled_on(curve: Curve, event: Event | FamilyPoint) -> Solution:
@@ -177,12 +187,15 @@ def _heading(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
     return np.asarray(whole / np.sqrt(curve.scales.metric(solution.place) @ whole**2))
 
 
-def checked(curve: Curve, batch: Batch, step: float, parameter: str) -> Batch:
-    """A step of a family with those of its events that are what they are called; the log says what the others are."""
-    return replace(batch, events=tuple(_kept(curve, batch.events, step, parameter)))
+def checked(curve: Curve, batch: Batch, step: float, parameter: str, before: FamilyPoint | None = None) -> Batch:
+    """A step of a family, after the point `before`, with those of its events that are what they are called; the log
+    says what the others are: nothing, or unknown where the stability is another on the two sides."""
+    verdicts = [point.stability for point in (before, *batch.points) if point and point.stability in DECIDED]
+    changes = 0 < verdicts.count("unstable") < len(verdicts)
+    return replace(batch, events=tuple(_kept(curve, batch.events, step, parameter, changes)))
 
 
-def _kept(curve: Curve, events: Sequence[Event], step: float, parameter: str) -> Iterator[Event]:
+def _kept(curve: Curve, events: Sequence[Event], step: float, parameter: str, changes: bool) -> Iterator[Event]:
     for event in events:
         try:
             read = reading(curve, event, event.tangent, step, parameter)
@@ -193,8 +206,8 @@ def _kept(curve: Curve, events: Sequence[Event], step: float, parameter: str) ->
             yield replace(event, check=read)
         else:
             logging.getLogger(__name__).warning(
-                "%s %s was seen at %.12g and is none: %s", "an" if event.kind[0] in "ei" else "a",
-                event.kind.replace("_", " "), event.parameter, what,
+                "%s %s was seen at %.12g and is %s: %s", "an" if event.kind[0] in "ei" else "a",
+                event.kind.replace("_", " "), event.parameter, "unknown" if changes else "none", what,
             )  # fmt: skip
 
 

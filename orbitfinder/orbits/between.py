@@ -181,7 +181,8 @@ def risen(
 
 
 def _retaken(trace: Trace, k: int, begin: float, end: float, longest: float) -> float:
-    """How far the end of step k moves when short steps are taken from `begin` to `end`."""
+    """How far the end of step k moves, in extents or what is larger of the states' own sizes, to which steps are taken,
+    when short ones are from `begin` to `end`."""
     edges = [(trace.moments[k], begin, np.inf), (begin, end, longest), (end, trace.moments[k + 1], np.inf)]
     now = trace.states[k]
     for low, high, most in edges:
@@ -191,7 +192,8 @@ def _retaken(trace: Trace, k: int, begin: float, end: float, longest: float) -> 
                                 longest_step=most)[-1]  # fmt: skip
             except IntegrationError:
                 return float("inf")
-    return float(np.abs(now - trace.states[k + 1]).max())
+    there = trace.states[k + 1]
+    return float((np.abs(now - there) / np.maximum(1.0, np.abs(there))).max())
 
 
 def curve(

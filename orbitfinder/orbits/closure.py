@@ -7,9 +7,12 @@ state's components, round-off can make a gap of eps A,
     A = max over t of |S^-1 Phi(T, t) R|,
 
 which sees the shear that the multipliers do not. The distance to the true orbit is the smallest correction
-(d, d tau) of state and period, in extents and periods, that closes the gap g to within round-off,
+(d, d tau) of state and period, in extents and periods, that closes the gap g and what round-off may hide of it,
 
-    |u . (g + (Phi - 1) d + f T d tau)| <= 30 eps A    along every left singular vector u.
+    (|u . g| + 3 eps max over t of |u . Phi(T, t) R|) / (s - e)    along every left singular vector u
+
+of (Phi - 1, f T), of singular value s known to e, but for the gradients of invariants and of constraints, along which
+nothing could close a gap. No other direction is free: a multiplier near 1 makes the distance large, or infinite.
 
 The error bar of the period is the largest d tau of such a correction across the flow, at the values that are kept,
 with the gap and what round-off may add to it of any signs.
@@ -18,19 +21,24 @@ with the gap and what round-off may add to it of any signs.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.loops.symmetry import shifts_of
 from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.floquet import complement
 
 EPSILON = float(np.finfo(float).eps)
 LARGEST_SCALE = 1e6
 """Tolerances grow with A up to this factor; beyond, closure would mean nothing."""
 REACHES = 1e-3
 """Round-offs that one of another component makes in a component which it is said to drive"""
+MATRIX, STILL, SHAKEN = 1e-13, 1e-9, 3.0
+"""Relative error of a state-transition matrix, as it is integrated. A component that moves less than this share of its
+size loses what it does to the round-off of all steps; that of some 400 of others comes to so many eps"""
 ROUND_OFF = 30.0
 """Gaps of true orbits are 0.1 to 30 times eps A (benchmarks/closure_rule.py)."""
 
@@ -49,24 +57,30 @@ class Closure:
 
 def closes(
     gap: np.ndarray, transitions: Sequence[np.ndarray], states: np.ndarray, rate: np.ndarray | None,
-    kept: np.ndarray | None = None,
+    kept: np.ndarray | None = None, basis: np.ndarray | None = None,
 ) -> Closure:  # fmt: skip
     """The `Closure` of a loop from its gap (m), the state-transition matrices of its pieces, its states (k x m), and
     f T (m) or None, or whatever else may be corrected (m x k).
 
     All in extents of the motion; `rate` is None where the period is prescribed. Components that nothing else drives
     close by themselves, to their own A. With the gradients (k x m) of what is `kept` the period's error is told.
+    `basis` (m x r) spans what constraints leave.
     """
     sizes = np.maximum(np.abs(states).max(axis=0), 1.0)  # of the components, R
     whole = carried(transitions, sizes)
-    found = _together(gap, whole, rate)
-    parts = [found]
+    widest = float(np.abs(gap).max())
+    parts = [(widest, whole[1])]
     for own in _closed(transitions, sizes):
         inner = [one[np.ix_(own, own)] for one in transitions]
-        parts.append(_together(gap[own], carried(inner, sizes[own]), None if rate is None else rate[own]))
-    worst = max(parts, key=lambda one: one.gap / min(one.amplification, LARGEST_SCALE))
+        parts.append((float(np.abs(gap[own]).max()), carried(inner, sizes[own])[1]))
+    worst = max(parts, key=lambda part: part[0] / min(part[1], LARGEST_SCALE))
     late = 0.0 if kept is None or rate is None else _late(gap, whole, rate, kept)
-    return replace(found, distance=max(one.distance for one in parts), worst=worst.worst, period_error=late)
+    unit = np.eye(gap.size)
+    stays = (np.reshape(transitions, (-1, *unit.shape)) == unit).all(axis=(0, 2)) & (states == states[0]).all(axis=0)
+    free, basis = unit[stays & (gap == 0)], unit if basis is None else basis
+    frame = basis @ complement(free @ basis, (free if kept is None else kept) @ basis)
+    off = distance(frame.T @ gap, (-frame.T, frame.T), transitions, states, rate)
+    return Closure(widest, whole[1], off, worst, late)
 
 
 def _late(gap: np.ndarray, carried: tuple[np.ndarray, float], rate: np.ndarray, kept: np.ndarray) -> float:
@@ -80,12 +94,6 @@ def _late(gap: np.ndarray, carried: tuple[np.ndarray, float], rate: np.ndarray, 
         return float("inf")
     row = np.linalg.pinv(bordered)[-1, : gap.size]
     return float(np.abs(row) @ (np.abs(gap) + ROUND_OFF * EPSILON * grown))
-
-
-def _together(gap: np.ndarray, carried: tuple[np.ndarray, float], rate: np.ndarray | None) -> Closure:
-    monodromy, largest = carried
-    round_off, widest = ROUND_OFF * EPSILON * min(largest, LARGEST_SCALE), float(np.abs(gap).max())
-    return Closure(widest, largest, _distance(gap, monodromy, rate, round_off), (widest, largest))
 
 
 def _closed(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.ndarray]:
@@ -121,17 +129,33 @@ def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.nd
     return later[0], largest if np.isfinite(largest) else np.inf
 
 
-def _distance(gap: np.ndarray, monodromy: np.ndarray, rate: np.ndarray | None, round_off: float) -> float:
-    """Norm of the smallest (d, d tau) that leaves no gap beyond round-off; infinite where the gap is not finite."""
-    if not (np.all(np.isfinite(gap)) and np.all(np.isfinite(monodromy))):
+def distance(
+    gap: np.ndarray, rows: tuple[np.ndarray, np.ndarray], transitions: Sequence[np.ndarray], states: np.ndarray,
+    late: np.ndarray | None,
+) -> float:  # fmt: skip
+    """Norm of the smallest (d, d tau) that makes up for a gap (r) in what `rows` (r x m each) ask of both ends of a
+    motion, of which the period changes the last by `late` (m); infinite where any could.
+
+    What rates alone say of a component that hardly moves is in its gap, and known to the round-off of rates.
+    """
+    (first, last), size = rows, np.abs(states).max(axis=0)
+    later = list(accumulate(reversed(transitions), np.matmul, initial=np.eye(size.size)))
+    grown = carried(transitions, np.maximum(size, 1.0))[1]
+    columns = np.column_stack([first + last @ later[-1], *([] if late is None else [last @ late])])
+    if not (np.isfinite(grown) and np.isfinite(columns).all() and np.isfinite(gap).all()):
         return float("inf")
-    columns = monodromy - np.eye(gap.size)
-    if rate is not None:
-        columns = np.column_stack([columns, rate])
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    beyond = np.maximum(np.abs(left.T @ gap) - round_off, 0.0)
-    steps = np.divide(beyond, singular, out=np.where(beyond > 0, np.inf, 0.0), where=singular > 0)
-    return float(np.linalg.norm(steps))
+    size = np.where(still(states), np.abs(later[-1] - np.eye(size.size)) @ size, size)
+    hidden = np.max([np.linalg.norm(left.T @ last @ after * size, axis=1) for after in later], axis=0)
+    excused = np.minimum(ROUND_OFF * LARGEST_SCALE, grown * np.linalg.norm(gap) / nonzero(singular))
+    beyond = np.maximum(np.abs(left.T @ gap) - EPSILON * excused, 0.0) + SHAKEN * EPSILON * hidden
+    known = singular - MATRIX * grown
+    return float(np.linalg.norm(np.divide(beyond, known, out=np.full(known.shape, np.inf), where=known > 0)))
+
+
+def still(states: np.ndarray) -> np.ndarray:
+    """Which components (m) of a motion (k x m) move so little that its steps may lose what they do."""
+    return np.asarray(np.ptp(states, axis=0) < STILL * np.abs(states).max(axis=0))
 
 
 def shift_along(

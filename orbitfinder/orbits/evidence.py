@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 from scipy.integrate import simpson, trapezoid
@@ -35,14 +36,14 @@ from orbitfinder.integrate.dop853 import (
     integrate_in,
 )
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
-from orbitfinder.integrate.field import VectorField, expect, vector_field
+from orbitfinder.integrate.field import VectorField, expect, rates_of, vector_field
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
-from orbitfinder.loops.symmetry import Involution, symplectic
+from orbitfinder.loops.symmetry import Involution, Symmetry, involutions, off_centre, symplectic, with_mirrors
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, altered, constraint_of, energies
 from orbitfinder.mechanics.scales import Acts, acting, acting_in, extents, extents_of, masses_of, snapped
-from orbitfinder.orbits.closure import Closure, closes, gap, shift
+from orbitfinder.orbits.closure import Closure, carried, closes, distance, gap, shift, still
 from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, reduce_monodromy, symplectic_unit
 
 SAMPLES = 512
@@ -61,6 +62,9 @@ ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-13)
 KNOWN = 1e-6
 """Share of a component's size below which its changes are no unit to integrate in: they are round-off, nearly"""
 HAMILTON, GIVEN = "Hamilton's equations", "the rates as given"
+DOUBTFUL, MOST, ROUNDED, SPREAD = 1e-10, 16, 64 * float(np.finfo(float).eps), 1e8
+"""A true orbit that is no nearer is sought by what else its equations keep, of states of so many numbers; relative
+error of that; condition of a state-transition matrix from which on its determinant is that of its parts"""
 TIED = 1e-9
 """Share of the period by which times of events may differ"""
 
@@ -93,6 +97,8 @@ class Motion:
     formulation: str = HAMILTON
     constraints: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     begins: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    rates: VectorField | None = None
+    """the field of y"""
     reach: np.ndarray | None = None
     """of a stiff first-order motion its least and largest y (2 x m), which no equal times see"""
 
@@ -203,7 +209,7 @@ def canonical_motion(
     return Motion(
         moments, equations.states(path), path, transitions, action, equations.field(0.0, start), gradients, directions,
         masses, own, drifting(traces[0], own, units), GIVEN if first_order else HAMILTON, constraints,
-        nodes[:-1], _reach(traces[0], units) if first_order and equations.field.stiff else None,
+        nodes[:-1], equations.field, _reach(traces[0], units) if first_order and equations.field.stiff else None,
     )  # fmt: skip
 
 
@@ -492,12 +498,87 @@ def _looped(model: Model, motion: Motion, units: np.ndarray, path: np.ndarray, p
     """The `Tour` of a motion of which a path (k x m) was looked at, in `units` (m)."""
     pieces, rate = in_extents(motion.transitions, units), None if model.forced else motion.rate * period / units
     missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
-    return Tour(
-        closes(missed, pieces, path / units, rate, motion.gradients * units), pieces, motion.gradients * units,
-        motion.directions / units,
-        symplectic(model), units,
-        tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size),
-    )  # fmt: skip
+    if model.rates is not None and motion.rates is not None and (idle := still(path)).any():
+        each = rates_of(motion.rates)[0](np.linspace(0.0, period, len(path)), path) / units
+        missed = np.where(idle, trapezoid(each, dx=period / (len(path) - 1), axis=0), missed)
+    basis = tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size)
+    kept, whole = motion.gradients * units, basis.size == units.size**2
+    closing = closes(missed, pieces, path / units, rate, kept, basis)
+    if closing.distance > DOUBTFUL and motion.rates is not None and whole and units.size <= MOST:
+        more = np.vstack([kept, _conserved(motion.rates, path, units, period)])
+        closing = replace(closing, distance=closes(missed, pieces, path / units, rate, more).distance)
+        if closing.distance > DOUBTFUL and rate is not None:
+            closing = replace(closing, distance=min(closing.distance, _symmetric(model, motion, units)))
+    return Tour(closing, pieces, kept, motion.directions / units, symplectic(model), units, basis)
+
+
+def _conserved(field: VectorField, path: np.ndarray, units: np.ndarray, period: float) -> np.ndarray:
+    """Gradients (k x m, in extents) at the start of a motion of what nobody need declare: linear and quadratic
+    functions that the rates near it conserve to round-off, such as a parameter that is a state, or a clock's radius."""
+    i, j = np.triu_indices(units.size)
+    rows = beside(path, 3 * (i.size + units.size))
+    each = rates_of(field)[0](np.random.default_rng(1).uniform(0.0, period, len(rows)), rows) / units
+    away = (rows - path[0]) / units
+    terms = np.hstack([each, each[:, i] * away[:, j] + away[:, i] * each[:, j]])
+    terms = terms[np.isfinite(terms).all(axis=1)]
+    if len(terms) < 2 * terms.shape[1]:
+        return np.zeros((0, units.size))
+    sizes = np.linalg.norm(terms, axis=0)
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    _, singular, known = np.linalg.svd(terms / sizes, full_matrices=False)
+    _, share, gradients = np.linalg.svd(known[singular <= ROUNDED * singular[0], : units.size])
+    return np.asarray(gradients[: share.size][share > KNOWN] / sizes[: units.size])
+
+
+def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
+    """The least `distance` in what symmetries that run time backwards ask of the start and of the end of a part of a
+    motion, where it passes a fixed set.
+
+    The equations have them to round-off; orbits that do are isolated where others come in families, or nearly do.
+    """
+    n, period, field = model.angular.size, float(motion.times[-1]), vector_field(accelerations(model))
+    rows, many, least = beside(motion.states), rates_of(field)[0], float("inf")
+    here = many(moments := np.zeros(len(rows)), rows)
+
+    def has(each: Involution) -> bool:
+        apart = many(moments, rows @ each.matrix(n).T) - each.sense * here @ each.matrix(n).T
+        return bool(np.all(np.abs(apart) <= ROUNDED * np.abs(here).max(axis=0)))
+
+    own = [*filter(has, involutions(with_mirrors(model)))]
+    back, forth = ([each for each in own if each.sense == sense] for sense in (-1, 1))
+    forth += [last.after(first) for last, first in combinations(back, 2) if not (last.order or first.order)]
+    for begin in back:
+        start = _centred(begin, motion, field, model.angular)
+        again = canonical_motion(model, start, period, motion.turns, evenly(period), TIGHTEST)
+        for symmetry in (Symmetry((begin, *more), model.rates is not None) for more in ((), *zip(forth))):
+            path, pieces = again.path[: SAMPLES // symmetry.parts + 1], again.transitions[: PIECES // symmetry.parts]
+            (first, last), pieces = symmetry.rows(n), in_extents(pieces, units)
+            constant = symmetry.constants(model.angular, path[0], path[-1], motion.turns)
+            sizes = ((np.abs(first) + np.abs(last)) * units).max(axis=1)[:, None]
+            late = carried(pieces, np.ones(units.size))[0] @ again.rate / units * period / symmetry.parts
+            missed = (first @ path[0] + last @ path[-1] - constant) / sizes[:, 0]
+            asked = first * units / sizes, last * units / sizes
+            least = min(least, distance(missed, asked, pieces, path / units, late))
+    return least
+
+
+def _centred(begin: Involution, motion: Motion, field: VectorField, angles: np.ndarray) -> np.ndarray:
+    """The state (d) of a motion where it is nearest to the fixed set of an involution."""
+    states, size, step = motion.states, nonzero(np.ptp(motion.states, axis=0)), KNOWN * float(motion.times[-1])
+    k = int(np.abs(off_centre(begin, states[1:], angles)).max(axis=1).argmin())
+    x, since = states[k + 1], float(motion.times[k + 1] - motion.times[k])
+    for _ in range(5):
+        off, after = off_centre(begin, np.array([x, x + step * field(0.0, x)]), angles)
+        since = max(since - step * float(off @ (after - off)) / nonzero(float((after - off) @ (after - off))), step)
+        x = integrate_in(size, field, states[k], np.array([0.0, since]))[-1]
+    return np.asarray(x)
+
+
+def beside(states: np.ndarray, count: int = 24) -> np.ndarray:
+    """Seeded states (k x d) about a motion."""
+    random = np.random.default_rng(0)
+    rows = states[random.integers(0, len(states), count)]
+    return np.asarray(rows + 0.3 * nonzero(np.ptp(states, axis=0)).clip(KNOWN) * random.normal(size=rows.shape))
 
 
 def in_extents(matrices: Sequence[np.ndarray], units: np.ndarray) -> list[np.ndarray]:
@@ -595,9 +676,8 @@ def _divergence(equations: Hamiltonian, motion: Motion, units: np.ndarray) -> tu
     size, missed, refined, known = motion.path.shape[1], 0.0, 0.0, 0.0
     unit, edges = np.append(np.eye(size).ravel(), 0.0), motion.times[:: SAMPLES // PIECES]
     for k, begin in enumerate(motion.begins):
-        piece = motion.transitions[k]
-        missed += float(np.linalg.slogdet(piece)[1])
-        known += VARIED.relative_tolerance * float(np.linalg.cond(piece * units / units[:, None]))
+        volume, off, _ = _volume(equations, begin, edges[k : k + 2], units)
+        missed, known = missed + volume, known + off
         if not symplectic(equations.model):
             times = np.linspace(edges[k], edges[k + 1], SAMPLES // PIECES + 1)
             path = integrate_in(units, equations.field, begin, times, VARIED)
@@ -607,6 +687,20 @@ def _divergence(equations: Hamiltonian, motion: Motion, units: np.ndarray) -> tu
             missed, refined = missed - fine, refined + fine - coarse
             known += 1e-10 * float(trapezoid(np.abs(traces), times))
     return abs(missed), abs(refined) + known
+
+
+def _volume(
+    equations: Hamiltonian, begin: np.ndarray, span: np.ndarray, units: np.ndarray, halvings: int = 16
+) -> tuple[float, float, np.ndarray]:
+    """log |det| of a state-transition matrix, by factors of which none has lost its least singular value to the
+    largest; what it is known to; and where the motion (m) ends."""
+    end, piece, _ = varied_end(equations.variational, begin, span, units, float(units @ units), VARIED)
+    spread = float(np.linalg.cond(in_extents([piece], units)[0]))
+    if spread < SPREAD or not halvings:
+        return float(np.linalg.slogdet(piece)[1]), VARIED.relative_tolerance * spread, end
+    first, off, middle = _volume(equations, begin, np.array([span[0], span.mean()]), units, halvings - 1)
+    last, more, end = _volume(equations, middle, np.array([span.mean(), span[1]]), units, halvings - 1)
+    return first + last, off + more, end
 
 
 def second_closure(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:

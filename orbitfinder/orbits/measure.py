@@ -44,8 +44,8 @@ from orbitfinder.records.orbit import Orbit
 
 SAMPLES = 256
 """Steps over a period at least, for the loop, its action and its minimal period."""
-RESOLVED = 1e-6
-"""Relative difference that every other sample may make to the action: with all of them it is then some 1e-12"""
+RESOLVED = 1e-11
+"""Relative error of an action by how far it has come with every other and with every fourth sample"""
 GRADED = 3
 """Doublings of the fewest steps at which a motion is sampled that no number of equal steps follows"""
 STEEP = 1e3
@@ -304,16 +304,23 @@ def loop_action(
 
     It is integrated too where the motion is not `tame`, past a singularity.
     """
-    found = action(model, times, states)
-    if tame and abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
-        return found
+    whole, *fewer = (action(model, times[::by], states[::by]) for by in (1, 2, 4))
+    if tame and resolved(whole, *fewer):
+        return whole
     field, duration = with_action(model, flow.field), times[-1] / len(nodes)
-    units = (*flow.units, nonzero(abs(found))) if flow.units else ()
+    units = (*flow.units, nonzero(abs(whole))) if flow.units else ()
     ends = [
         graded_end(field, np.append(node, 0.0), (k * duration, (k + 1) * duration), tail_of(flow), units)
         for k, node in enumerate(nodes)
     ]
-    return found if any(end is None for end in ends) else float(sum(end[-1] for end in ends if end is not None))
+    return whole if any(end is None for end in ends) else float(sum(end[-1] for end in ends if end is not None))
+
+
+def resolved(whole: float, half: float, quarter: float) -> bool:
+    """Whether a number is known by all samples that half of them and a quarter tell as they do: each doubling takes at
+    least the share of the error away that the last did, of a field that has a kink a power, else far more."""
+    last = abs(whole - half)
+    return last * min(1.0, last / nonzero(abs(half - quarter))) <= RESOLVED * abs(whole)
 
 
 def action(model: Model, times: np.ndarray, states: np.ndarray) -> float:
@@ -336,7 +343,7 @@ def sampled_action(
     while True:
         few, path = times[::every].copy(), states[::every].copy()
         rate = march.along(quick, few[:, None], path, model.parameter_values[None]).ravel()
-        whole = float(trapezoid(rate, few))
-        if every == 1 or abs(whole - trapezoid(rate[::2], few[::2])) <= RESOLVED * abs(whole):
+        whole, *fewer = (float(trapezoid(rate[::by], few[::by])) for by in (1, 2, 4))
+        if every == 1 or resolved(whole, *fewer):
             return whole, few, path
         every //= 2

@@ -14,6 +14,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -67,6 +68,8 @@ def check_curve(curve: Mapping[str, Any]) -> None:
         check_curve({name: entry for name, entry in test.items() if name == "parameters"})
     if curve.get("cycles", 1) < 1:
         raise ValueError(f"curve.cycles: expected 1 at least, got {curve['cycles']}")
+DECIDED, UNCHANGING = ("unstable", "asymptotically stable", "elliptic"), ("turn", "extremum", "resonance")
+"""Verdicts that say something; events at which they do not change"""
 
 
 def _check_place(member: Any) -> None:
@@ -336,6 +339,18 @@ class Family(Tabled):
         members: tuple[FamilyPoint | Event, ...] = (*self.points, *self.events)
         if len({member.state.size for member in members}) > 1:
             raise ValueError("state: not of one size in all points and events")
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Between which points the stability changes and no certified event says how, a sentence each."""
+        known = [(k, point) for k, point in enumerate(self.points) if point.stability in DECIDED]
+        return tuple(
+            f"unknown: {before.stability} at {self.parameter} {before.value:.12g} and {after.stability} at "
+            f"{after.value:.12g}, with no certified event between; take shorter steps or another --method"
+            for (i, before), (j, after) in pairwise(known)
+            if (before.stability == "unstable") != (after.stability == "unstable")
+            and not any(i <= event.index < j and event.kind not in UNCHANGING for event in self.events)
+        )
 
     def values(self, name: str) -> np.ndarray:
         """One number of every point as an array, in order along the family: of a parameter, a watched number, of its

@@ -1,0 +1,135 @@
+"""How near the true orbit is: which directions are free, what round-off hides, and what a certificate then says."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_certificate_holes import check, flat
+
+import orbitfinder as of
+from orbitfinder.errors import ConvergenceError
+from orbitfinder.families import verified
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.evidence import tour
+from orbitfinder.orbits.measure import resolved
+from orbitfinder.records.family import Batch
+
+ROOT = Path(__file__).parents[1]
+CYCLE, PERIOD = [2.008619860874844, 0.0], 6.663286859323132
+"""Of van der Pol's oscillator at mu = 1"""
+
+
+def beside(rates, **more):
+    """Van der Pol's oscillator with other states beside it."""
+    return of.equations(rates={"x": "v", "v": "(1-x^2)*v-x", **rates}, **more)
+
+
+@pytest.mark.parametrize("rate", ["1e-2", "1e-6", "1e-9", "5e-10", "3e-11", "1e-12"])
+@pytest.mark.parametrize("off", [0.0, 1e-8, 1e-5, 7e-4])
+def test_a_slow_state_counts(rate, off):
+    """z' = -k (z - 1) comes back to 2e-14 from anywhere, and closes at z = 1 alone."""
+    model = beside({"z": f"-({rate})*(z-1)"})
+    certificate = certify(flat(model, [*CYCLE, 1.0 + off], PERIOD), model)
+    distance = check(certificate, "distance")
+    assert distance.passed == (off == 0.0) and (off == 0.0 or distance.value > off)
+    assert off or certificate.passed
+
+
+@pytest.mark.parametrize("rate", ["1e-2", "1e-8", "1e-11"])
+def test_slow_states_that_feel_each_other_count(rate):
+    """A slow pair whose gaps nearly cancel: a' = k (b - a), b' = k (a - b) - k (a + b - 2) / 1000."""
+    model = beside({"a": f"({rate})*(b-a)", "b": f"({rate})*(a-b)-({rate})*(a+b-2)/1000"})
+    assert rate == "1e-11" or certify(flat(model, [*CYCLE, 1.0, 1.0], PERIOD), model).passed  # 7e-14 from free
+    assert "distance" in certify(flat(model, [*CYCLE, 1.00001, 1.00001], PERIOD), model).failures
+
+
+FREE = {
+    "a parameter": ({"p": "0"}, [0.7]),
+    "a sum": ({"a": "b-a", "b": "a-b"}, [0.5, 0.5]),
+    "copies": ({"y": "-v"}, [-CYCLE[0] + 0.25]),
+}
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_what_the_equations_keep_is_free(kind):
+    rates, state = FREE[kind]
+    model = beside(rates)
+    assert certify(flat(model, [*CYCLE, *state], PERIOD), model).passed
+
+
+CLOCK, STEADY = {"x": "v", "v": "-2*x-0.2*v+c"}, 1 / (1 + 0.2j)
+"""x'' + 0.2 x' + 2 x = c, solved by Re(STEADY exp(i t))"""
+
+
+@pytest.mark.parametrize("leak", ["0", "1e-9", "1e-12"])
+def test_a_clock_drives_until_it_runs_down(leak):
+    """Its radius is free as long as the equations keep it."""
+    model = of.equations(rates=CLOCK | {"c": f"-s-{leak}*c", "s": f"c-{leak}*s"})
+    certificate = certify(flat(model, [STEADY.real, -STEADY.imag, 1.0, 0.0], 2 * np.pi), model)
+    assert certificate.passed == (leak == "0") and check(certificate, "distance").passed == (leak == "0")
+
+
+@pytest.mark.parametrize("leak", ["1e-9", "1e-12"])
+def test_what_the_equations_lose_is_not(leak):
+    """A sum that runs down."""
+    model = beside({"a": "b-a", "b": f"a-b-{leak}*b"})
+    assert "distance" in certify(flat(model, [*CYCLE, 0.5, 0.5], PERIOD), model).failures
+
+
+def test_a_mirror_tells_orbits_that_hardly_differ():
+    """Triple 2 at 4e5 J: the gap of an orbit a little aside grows with 6e-13 of how far that is."""
+    family = of.load_family(ROOT / "results" / "families" / "triple-2" / "family.json")
+    point, model = family.points[0], of.chain(3)
+    assert check(certify(point, model), "distance").value < 1e-12
+
+
+def test_multipliers_that_underflow_are_taken_in_logarithms():
+    """exp(-754) of a fast state: the determinant is 0, and its logarithm the divergence."""
+    model = of.equations(rates={"x": "v", "v": "-x", "y": "-120*y"})
+    missed, known = tour(model, np.array([1.0, 0.0, 0.0]), 2 * np.pi, np.zeros(3, int)).divergence()
+    assert missed < known < 1e-2
+
+
+def test_stability_that_changes_without_an_event_is_unknown(caplog, monkeypatch):
+    family = of.load_family(ROOT / "results" / "families" / "henon-heiles-loop" / "family.json")
+    assert not family.unknown
+    silent = replace(family, events=tuple(event for event in family.events if event.kind == "turn"))
+    assert silent.unknown and "with no certified event between" in silent.unknown[0]
+
+    def stalled(*_):
+        raise ConvergenceError("the corrector stalled")
+
+    monkeypatch.setattr(verified, "reading", stalled)
+    stable, unstable = (replace(family.points[0], stability=name) for name in ("elliptic", "unstable"))
+    for after, word in ((unstable, "unknown"), (stable, "none")):
+        with caplog.at_level(logging.WARNING):
+            batch = verified.checked(None, Batch(1, (after,), family.events[:1]), 1.0, "energy", stable)
+        assert not batch.events and f"and is {word}: the corrector stalled" in caplog.messages[-1]
+
+
+@pytest.mark.parametrize("power", [3, 5])
+def test_an_action_is_resolved_by_its_own_convergence(power):
+    """|sin|^p has a kink in its p-th derivative; exp(sin) has none, and is resolved by as many samples."""
+    values = {}
+    for function in (lambda t: np.abs(np.sin(t)) ** power, lambda t: np.exp(np.sin(t))):
+        means = [function(2 * np.pi * (np.arange(64 // by) * by + 0.3) / 64).mean() for by in (1, 2, 4)]
+        values[resolved(*means)] = means
+    assert set(values) == {False, True} and values[True][0] == pytest.approx(1.2660658777520084, abs=1e-14)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "rates", [{"x": "v", "v": "-x-0.5*abs(v)*v+0.5*v"}, {"x": "v", "v": "-abs(x)*x+0.3*(1-x^2)*v"}]
+)
+def test_fields_with_a_kink_in_a_derivative_are_certified(rates):
+    orbit = of.find_orbit(of.Problem(of.equations(rates=rates), of.Guess([1.6, 0.0], 5.6)))
+    assert orbit.certificate.passed
+
+
+@pytest.mark.slow
+def test_a_slow_bursters_round_off_is_not_a_feature():
+    """h moves by 3e-5 of itself: steps are as exact as that lets them be."""
+    orbit = of.find_orbit(of.load_problem(ROOT / "tests" / "data" / "slow-burst.toml"))
+    assert orbit.period == pytest.approx(9738.30923, abs=1e-5) and orbit.certificate.passed
