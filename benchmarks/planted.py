@@ -1,9 +1,10 @@
-"""Two thousand planted errors in certified orbits of all kinds; writes results/validation/planted.md in some minutes.
+"""Four thousand planted errors in certified orbits of all kinds; writes results/validation/planted.md in some minutes.
 
 Every plant changes one thing of a true record and then recomputes what follows from it, so that only the physics
 (or the one wrong entry) can betray it: periods, multiples, states, systems, forcings, and every recorded number; and
 systems that are what their description says but for something narrow, late, slow or in another turn. A feature that is
-narrower than the width down to which its certificate says to have looked is counted by itself. True records told
+narrower than the width down to which its certificate says to have looked is counted by itself. Slow states have rates
+from 1e-2 to 1e-12 beside a cycle of period 6.66. True records told
 otherwise (from another instant, with the multipliers in another order) must pass. `python benchmarks/planted.py FILE`
 writes the page there.
 """
@@ -13,8 +14,9 @@ from __future__ import annotations
 import argparse
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import casadi as ca
@@ -238,6 +240,7 @@ def holes(random: np.random.Generator) -> Iterator[tuple[Plant, bool]]:
             yield Plant("narrow rectangular force", told(model, [1.0, 0.0], 2 * np.pi), model, wide), False
     yield from turning(random)
     yield from parts()
+    yield from slow(random)
     yield from needles(random)
 
 
@@ -266,6 +269,49 @@ def parts() -> Iterator[tuple[Plant, bool]]:
                     x.v, -x.x - 2 * d * x.v, x.d, s**2 * x.c + k * x.x], ("x", "v", "c", "d"))  # fmt: skip
                 orbit = told(model, [1.0, 0.0, -driven / (1 + steep**2), 0.0], 2 * np.pi)
                 yield Plant("damped beside what is steep", orbit, model), damping == 0.0
+
+
+CYCLE, PERIOD = [2.008619860874844, 0.0], 6.663286859323132
+"""Of van der Pol's oscillator at mu = 1, as certified"""
+SLOW: dict[str, tuple[Callable[[float], dict[str, str]], list[float]]] = {
+    "a slow state": (lambda k: {"z": f"-({k})*(z-1)"}, [1.0]),
+    "a slow state that feels the cycle": (lambda k: {"z": f"({k})*(1-z)*(1+x^2)"}, [1.0]),
+    "a slow state in another unit": (lambda k: {"z": f"-({k})*(z-1e6)"}, [1e6]),
+    "a slow state at 0": (lambda k: {"z": f"-({k})*z"}, [0.0]),
+    "a slow cubic": (lambda k: {"z": f"({k})*(1-z^3)"}, [1.0]),
+    "a pair that cancels": (lambda k: {"a": f"-({k})*(a-1)", "b": f"({k})*(b-1)"}, [1.0, 1.0]),
+    "a pair whose gaps cancel": (lambda k: {"a": f"({k})*(b-a-(a-1)/5)", "b": f"({k})*(a-b-(b-1)/5)"}, [1.0, 1.0]),
+    "a slow rotation": (lambda k: {"a": f"({k})*(b-1)", "b": f"({k})*(1-a)"}, [1.0, 1.0]),
+    "a sum that leaks": (lambda k: {"a": "b-a", "b": f"a-b-({k})*(a+b-2)"}, [1.0, 1.0]),
+    "a quick state and a slow": (lambda k: {"y": "20*(x-y)", "z": f"-({k})*(z-1)"}, [np.nan, 1.0]),
+}
+"""Rates of other states beside van der Pol's oscillator by k, and where they close; nan for one that follows"""
+RATES = (*(f"{digit}e-{power}" for power in range(2, 12) for digit in (1, 5)), "1e-12")
+
+
+def slow(
+    random: np.random.Generator, kinds: Iterable[str] = SLOW, rates: Iterable[str] = RATES, count: int = 8
+) -> Iterator[tuple[Plant, bool]]:
+    """Multipliers near 1, of which nothing frees one: states that are off by 1e-8 to 1e-2 of their size."""
+    for kind, k in product(kinds, rates):
+        others, states = SLOW[kind]
+        model = of.equations(rates={"x": "v", "v": "(1-x^2)*v-x", **others(float(k))})
+        begin = np.append(CYCLE, states)
+        if np.isnan(begin).any():
+            settled = of.simulate(model, np.nan_to_num(begin), 3 * PERIOD).states[-1]
+            begin = np.where(np.isnan(begin), settled, begin)
+        yield Plant(f"near 1: {kind}", told(model, list(begin), PERIOD), model), True
+        for _ in range(count):
+            off = 10 ** random.uniform(-8, -2) * random.choice([-1.0, 1.0], len(states))
+            moved = np.where(np.isnan(states), 0.0, off * np.where(np.nan_to_num(states), states, 1.0))
+            state = list(begin + np.append([0.0, 0.0], moved))
+            yield Plant(f"near 1: {kind}", told(model, state, PERIOD), model), False
+    for mu in ("1e-3", "1e-5", "1e-7", "1e-9", "1e-11"):
+        model = of.equations(rates={"x": "v", "v": f"{mu}*(1-x^2)*v-x"})
+        for _ in range(4):
+            state = [2.0 * (1 + 10 ** random.uniform(-5, -1)), 0.0]
+            period = 2 * np.pi * (1 + float(mu) ** 2 / 16)
+            yield Plant("near 1: an amplitude", told(model, state, period), model), False
 
 
 def needles(random: np.random.Generator) -> Iterator[tuple[Plant, bool]]:
@@ -338,8 +384,10 @@ def main() -> None:
     odd: list[str] = []
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path, nargs="?", default=ROOT / "results" / "validation" / "planted.md")
-    last, target = "", parser.parse_args().file
-    for name, plant, right in planted():
+    parser.add_argument("--slow", action="store_true", help="multipliers near 1 alone")
+    last, chosen = "", parser.parse_args()
+    target, seeded = chosen.file, slow(np.random.default_rng(0))
+    for name, plant, right in (("slow", *each) for each in seeded) if chosen.slow else planted():
         try:
             certificate = certify(plant.orbit, plant.model)
         except OrbitfinderError:  # a record that contradicts itself is refused before anything is recomputed

@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +118,16 @@ def test_an_action_is_resolved_by_its_own_convergence(power):
         means = [function(2 * np.pi * (np.arange(64 // by) * by + 0.3) / 64).mean() for by in (1, 2, 4)]
         values[resolved(*means)] = means
     assert set(values) == {False, True} and values[True][0] == pytest.approx(1.2660658777520084, abs=1e-14)
+
+
+@pytest.mark.parametrize(("kind", "rate"), [("a slow cubic", "1e-8"), ("a pair that cancels", "5e-3")])
+def test_a_sample_of_planted_errors(kind, rate, monkeypatch):
+    """benchmarks/planted.py plants some 1,900 beside multipliers near 1."""
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    from planted import slow
+
+    plants = islice(slow(np.random.default_rng(0), [kind], [rate], 1), 2)
+    assert [(certify(plant.orbit, plant.model).passed, right) for plant, right in plants] == [(True,) * 2, (False,) * 2]
 
 
 @pytest.mark.slow
