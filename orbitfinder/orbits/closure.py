@@ -140,12 +140,12 @@ def distance(
     """
     (first, last), size = rows, np.abs(states).max(axis=0)
     later = list(accumulate(reversed(transitions), np.matmul, initial=np.eye(size.size)))
-    grown = carried(transitions, np.maximum(size, 1.0))[1]
+    grown = carried(transitions, np.ones(size.size))[1]
     columns = np.column_stack([first + last @ later[-1], *([] if late is None else [last @ late])])
     if not (np.isfinite(grown) and np.isfinite(columns).all() and np.isfinite(gap).all()):
         return float("inf")
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    size = np.where(still(states), np.abs(later[-1] - np.eye(size.size)) @ size, size)
+    size = np.where(still(states), np.abs(later[-1] - np.eye(size.size)) @ size / SHAKEN, size)
     hidden = np.max([np.linalg.norm(left.T @ last @ after * size, axis=1) for after in later], axis=0)
     excused = np.minimum(ROUND_OFF * LARGEST_SCALE, grown * np.linalg.norm(gap) / nonzero(singular))
     beyond = np.maximum(np.abs(left.T @ gap) - EPSILON * excused, 0.0) + SHAKEN * EPSILON * hidden
