@@ -137,7 +137,7 @@ def _cycle(model: Model, name: str, born: RestEvent, by: type[March]) -> Start:
         guess = equations.unknowns(nodes, born.period, mesh, value)
         direction = np.pad((q * turning).real.ravel(), (0, guess.vector.size - nodes.size))
         try:
-            curve = curve_at(equations, guess)
+            curve = curve_at(equations, guess, ("energy",))
             start = corrected(curve, guess, plane(curve, guess, direction), guess, reach=10.0)
         except (ConvergenceError, IntegrationError) as error:
             why = str(error)

@@ -61,7 +61,7 @@ def _zeros(interval: Interval, wanted: Iterable[Test]) -> Iterator[tuple[Sample,
 def doublings_turn(interval: Interval) -> Iterator[tuple[Sample, Test]]:
     """Where doublings degenerate: of whole periods without resets, of what dissipates."""
     about, p = interval.first.about, interval.curve.equations
-    if not (p.links or about.conservative) and p.symmetry.fraction == 1 and about.root == 1:
+    if not (p.links or about.conservative or p.model.conservative) and p.symmetry.fraction == 1 and about.root == 1:
         measure = partial(_bending, interval.curve)
         yield from _zeros(interval, [Test("degenerate_doubling", "", measure, 2, -1.0 + 0.0j)])
 

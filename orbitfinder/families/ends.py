@@ -162,8 +162,8 @@ def _wanted(run: Run, before: Walked, value: float, error: float) -> bool:
 
 
 def self_excited(curve: Curve) -> bool:
-    """Whether a family is one of a physical parameter and of equations that keep nothing."""
-    return bool(curve.equations.physical) and not curve.equations.model.conservative and can_rest(curve)
+    """Whether a family is one of a physical parameter and of equations that keep no energy."""
+    return bool(curve.equations.physical) and curve.equations.model.dissipative and can_rest(curve)
 
 
 def _shrinks_to(run: Run, step: Walked, away: float) -> tuple[RestPoint | None, float]:

@@ -98,7 +98,7 @@ def response(family: Family, model: Model) -> tuple[str, np.ndarray]:
 
     Nothing, "" and no numbers, of one that is told apart by its energy.
     """
-    if model.conservative or not family.curve:
+    if not (model.dissipative and family.curve):
         return "", np.zeros(0)
     sizes = amplitudes(family, model)
     most = int(sizes.max(axis=0).argmax())

@@ -70,7 +70,10 @@ class Dense:
         own = (rows * self.sizes).reshape(-1, self.sizes.size)
         factors, pivots, fault = dgetrf(np.concatenate([self.matrix, own]))
         if fault:
-            raise ConvergenceError("the equations of rest are singular")
+            raise ConvergenceError(
+                "the equations of rest are singular: no equilibrium stands alone there; declare what motions conserve "
+                "in [system.invariants] (invariants= in Python), or give another state"
+            )
         return lambda right: np.asarray(-dgetrs(factors, pivots, right)[0] * self.sizes)
 
 

@@ -11,13 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.integrate import solve_ivp
+from scipy.integrate import BDF
 
-from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.equilibrium import Equilibrium
 from orbitfinder.families.rest_certificate import NOISE, Judge
-from orbitfinder.families.rest_problem import AtRest, Stacked, regular, spectrum, without_noise
+from orbitfinder.families.rest_problem import AtRest, Stacked, regular, spectrum, state_sizes, without_noise
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.jets import Jets, at_rest
 from orbitfinder.mechanics.model import Model
@@ -26,9 +25,9 @@ from orbitfinder.mechanics.newton import Settings, equilibrium
 NEAR = Settings(floor=1e-14, round_off=1e-9, converged=1e-9, most_evaluations=40, farthest=1e3)
 ANYWHERE = replace(NEAR, longest=1.0, patience=12, progress=0.9)
 """Newton's whole steps near a state, and in a box, where none is longer than half its sides"""
-SAME, ZERO, MOST, FARTHEST = 1e-6, 1e-12, 30, 1e3
+SAME, ZERO, MOST, FARTHEST = 1e-6, 1e-12, 30, 5000
 """Equilibria nearer than this in sizes of a box are the same, components are 0; from a start so many are looked for.
-How long a simulation to rest takes, in the times in which the state at its start would change by itself"""
+Steps of a simulation to rest, whose lengths the motion's own times decide"""
 
 
 def refuse_moving(model: Model, parameter: str) -> None:
@@ -97,17 +96,15 @@ def _apart(problem: AtRest, z: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _rested(model: Model, state: np.ndarray) -> np.ndarray:
-    """Where a motion is after a long time, by BDF; the state itself where it cannot be integrated."""
-    values = model.parameter_values
-
-    def rates(_: float, x: np.ndarray) -> np.ndarray:
-        return np.asarray(model.rate(0.0, x, values).full().ravel())
-
-    pace = float(np.abs(rates(0.0, state) / nonzero(np.abs(state))).max()) or 1.0
+    """Where a motion is after many steps of BDF, which grow without bound where it rests, with 0 for what is 0 to its
+    tolerance; the state itself where it cannot be integrated."""
+    values, least = model.parameter_values, 1e-9 * state_sizes(model, np.abs(state))
     with np.errstate(all="ignore"), contextlib.suppress(ValueError, ArithmeticError):
-        least = 1e-9 * float(np.abs(state).max())
-        path = solve_ivp(rates, (0.0, FARTHEST / pace), state, method="BDF", rtol=1e-6, atol=least)
-        return np.asarray(path.y[:, -1]) if np.isfinite(path.y[:, -1]).all() else state
+        path = BDF(lambda _, x: model.rate(0.0, x, values).full().ravel(), 0.0, state, np.inf, rtol=1e-6, atol=least)
+        for _ in range(FARTHEST):
+            if path.status == "running":
+                path.step()
+        return np.where(np.abs(path.y) <= least, 0.0, path.y) if np.isfinite(path.y).all() else state
     return state
 
 

@@ -266,7 +266,7 @@ def curve_at(
     values, whole_motion = equations.quantities_at(place)[0], symmetry.whole(steps, states, constant)[1]
     cycles = max(1, round(place.period / float(values[-1]))) if model.forced else 0
     kept = {name: (given or {}).get(name) for name in (*held, *alone)}
-    if "energy" in kept and kept["energy"] is None and "energy" not in [one.name for one in model.invariants]:
+    if "energy" in kept and kept["energy"] is None and not model.conservative:
         del kept["energy"]
     numbers = {name: measured(equations, place, name) if value is None else value for name, value in kept.items()}
     fixed = clock(equations, cycles) + tuple(pinned(equations, name, value) for name, value in numbers.items())

@@ -51,6 +51,7 @@ def equations(
     angles: Sequence[str] = (),
     period: str | float | None = None,
     units: Mapping[str, str] | None = None,
+    find_invariants: bool = True,
 ) -> Model:
     """The Model of equations as text: x' = f(t, x, p), Hamilton's of H(q, p), or Lagrange's of T - V with forces.
 
@@ -72,6 +73,8 @@ def equations(
         angles: states or coordinates that may turn.
         period: of the explicit dependence on the time, a number or a text of parameters such as "2*pi/omega".
         units: words for time, length, mass, angle, or a state or parameter by name ("ms", "mV"); nothing is converted.
+        find_invariants: whether linear ones of rates, c.x with c.x' = 0 as "S + I + R", are searched for; the
+            description has them as total_1, ...
 
     Returns:
         A Model, which files describe by its text.
@@ -88,7 +91,8 @@ def equations(
     See Also:
         `of.ode`, `of.hamiltonian` and `of.lagrange` from Python functions, `of.from_xpp` for XPPAUT's files.
     """
-    given = {k: _plain(value) for k, value in locals().items() if value is not None and value != () and k != "units"}
+    given = {k: value for k, value in locals().items() if k not in ("units", "find_invariants")}
+    given = {k: _plain(value) for k, value in given.items() if value is not None and value != ()}
     given = {"kind": "equations", "parameters": {}} | given
     form = _form(given)
     names = [*(states or rates or ())] if form == "rates" else [*coordinates, *momenta]
@@ -100,8 +104,10 @@ def equations(
         given["forces"] = dict(zip(names, acting, strict=True))
     _check_names(given, form, names)
     _check_time(given, form)
-    made = {"rates": _first_order, "hamiltonian": _hamiltonian, "kinetic": _lagrange}[form](given, names)
-    return with_units(made, units)
+    make: dict[str, Callable[..., Model]] = {
+        "rates": partial(_first_order, find_invariants), "hamiltonian": _hamiltonian, "kinetic": _lagrange
+    }  # fmt: skip
+    return with_units(make[form](given, names), units)
 
 
 def _plain(value: Any) -> Any:
@@ -232,12 +238,12 @@ def _clock(given: Mapping[str, Any]) -> Callable[[Named], Any] | float | None:
     return lambda p: expression(period, dict(zip(p.names, p, strict=True)), "period")
 
 
-def _first_order(given: Mapping[str, Any], names: Sequence[str]) -> Model:
+def _first_order(find: bool, given: Mapping[str, Any], names: Sequence[str]) -> Model:
     def field(t: Any, x: Named, p: Named) -> list[Any]:
         read = _reader(given, t, x, p)
         return [read(given["rates"][name], f"rates.{name}") for name in names]
 
-    return ode(field, names, given["parameters"], **_common(given))
+    return ode(field, names, given["parameters"], find_invariants=find, **_common(given))
 
 
 def _common(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -277,8 +283,9 @@ def _lagrange(given: Mapping[str, Any], names: Sequence[str]) -> Model:
 
 
 def _build(system: Mapping[str, Any], _: Path | None) -> Model:
+    """The Model of a description, with no other invariants than those in it unless a problem file lets find them."""
     try:
-        return equations(**{key: value for key, value in system.items() if key != "kind"})
+        return equations(**{"find_invariants": False} | {key: value for key, value in system.items() if key != "kind"})
     except InputError as error:
         raise InputError(f"system.{error}") from error
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from itertools import count
 from re import sub
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError, closest
+from orbitfinder.mechanics.conserved import linear_invariants
 from orbitfinder.mechanics.controls import Limits, with_controls
 from orbitfinder.mechanics.lagrange import strangers
 from orbitfinder.mechanics.model import Dynamics, Invariant, Mechanics, Model, Structure, altered
@@ -86,6 +88,7 @@ def ode(
     controls: Sequence[str] = (),
     limits: Limits | None = None,
     units: Mapping[str, str] | None = None,
+    find_invariants: bool = True,
 ) -> Model:
     """The Model of a first-order system x' = f(t, x, p).
 
@@ -104,6 +107,8 @@ def ode(
         controls: parameters that may vary in time.
         limits: of the controls: greatest magnitude, or lowest and highest, by name.
         units: words for time, length, mass, angle, or a state or parameter by name ("ms", "mV"); nothing is converted.
+        find_invariants: whether linear ones, c.x with c.f = 0 for all t, x and p, are searched for; their names are
+            total_1, ...
 
     Returns:
         A Model with `rates`; its velocities are empty.
@@ -127,6 +132,16 @@ def ode(
     integrals = invariants
     if isinstance(integrals, Mapping):
         integrals = [symbols.invariant(name, _expression(name, scalar, symbols)) for name, scalar in integrals.items()]
+    taken = {*states, *values, *(each.name for each in integrals)}
+    free = (name for k in count(1) if (name := f"total_{k}") not in taken)
+    for row in linear_invariants([symbols.t, symbols.column, symbols.numbers], rate) if find_invariants else ():
+        total = symbols.invariant(name := next(free), ca.dot(ca.DM(row), symbols.column))
+        with suppress(InputError):  # of a sum of others
+            _check_independent([*integrals, total], symbols)
+            integrals = [*integrals, total]
+            terms = (state if k == 1 else f"{k}*{state}" for k, state in zip(row, states, strict=True) if k)
+            text = " + ".join(terms).replace("+ -", "- ")
+            system = system and {**system, "invariants": {**system.get("invariants", {}), name: text}}
     made = with_controls(_model(rate, symbols, integrals, angles, forcing_period, symmetries, system), controls, limits)
     made = with_units(made, units)
     return made if points is None else altered(made, points=symbols.positions(points))
@@ -232,6 +247,7 @@ class _Symbols:
             self.function("value", expression),
             self.function("unfolding", slope),
             None if generator is None else self.function("generator", generator),
+            ca.is_linear(expression, self.column),
         )
 
     def foreign(self, expression: ca.SX) -> str:

@@ -34,6 +34,7 @@ class Invariant:
             the rates: dI/dt = s |grad I|^2.
         generator: Function (q, v, p) of the symmetry direction (2n) that the integral belongs to; None for time
             translation (the energy).
+        linear: of a first-order system, whether I is linear in the state.
 
     Examples:
         >>> [one.name for one in of.systems.spherical_pendulum().invariants]
@@ -46,6 +47,7 @@ class Invariant:
     value: ca.Function
     unfolding: ca.Function
     generator: ca.Function | None = None
+    linear: bool = False
 
 
 @dataclass(frozen=True)
@@ -308,6 +310,13 @@ class Model(Shown):
     def conservative(self) -> bool:
         """True when an energy is among the invariants (the one that belongs to time translation)."""
         return any(one.generator is None for one in self.invariants)
+
+    @property
+    def dissipative(self) -> bool:
+        """True when nothing is conserved, or linear invariants of a first-order system alone: where these are held,
+        equilibria and cycles are those of a system that conserves nothing.
+        """
+        return all(one.linear for one in self.invariants if one.generator is None)
 
     @property
     def smooth(self) -> bool:

@@ -104,7 +104,8 @@ def xpp_document(path: Path, period: str | float | None = None) -> dict[str, Any
         raise InputError(f"{path}: no equations x'=... or dx/dt=...; give an XPPAUT file of differential equations")
     spelled = {entry.word: entry.name.partition("(")[0].strip() for each in tables.values() for entry in each}
     system: dict[str, Any] = {
-        "kind": "equations", "parameters": {entry.name: float(entry.text) for entry in tables["parameters"]},
+        "kind": "equations", "find_invariants": True,
+        "parameters": {entry.name: float(entry.text) for entry in tables["parameters"]},
         **{key: {entry.name: _translated(entry, spelled) for entry in tables[key]} for key in ("rates", "let")},
     }  # fmt: skip
     used = {word.lower() for key in ("rates", "let") for entry in tables[key] for word in WORD.findall(entry.text)}

@@ -344,7 +344,7 @@ def _chosen(
     model: Model, parameter: str, coordinate: str | None, plane: str | None, direction: int
 ) -> Sampler:  # fmt: skip
     """What is sampled. Raises `InputError`."""
-    if model.conservative:
+    if not model.dissipative:
         raise InputError("system: it conserves its energy, so that its motions settle to nothing; `section` shows them")
     names = model.state_names
     if coordinate is not None and coordinate not in names:
