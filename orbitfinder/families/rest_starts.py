@@ -25,9 +25,9 @@ from orbitfinder.mechanics.newton import Settings, equilibrium
 NEAR = Settings(floor=1e-14, round_off=1e-9, converged=1e-9, most_evaluations=40, farthest=1e3)
 ANYWHERE = replace(NEAR, longest=1.0, patience=12, progress=0.9)
 """Newton's whole steps near a state, and in a box, where none is longer than half its sides"""
-SAME, ZERO, MOST, FARTHEST = 1e-6, 1e-12, 30, 5000
+SAME, ZERO, MOST, FARTHEST = 1e-6, 1e-12, 30, 20_000
 """Equilibria nearer than this in sizes of a box are the same, components are 0; from a start so many are looked for.
-Steps of a simulation to rest, whose lengths the motion's own times decide"""
+Evaluations of rates in a simulation to rest, whose steps are as long as the motion's own times allow"""
 
 
 def refuse_moving(model: Model, parameter: str) -> None:
@@ -97,14 +97,14 @@ def _apart(problem: AtRest, z: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def _rested(model: Model, state: np.ndarray) -> np.ndarray:
     """Where a motion is after many steps of BDF, which grow without bound where it rests, with 0 for what is 0 to its
-    tolerance; the state itself where it cannot be integrated."""
+    tolerance; the state itself where it cannot be integrated or becomes faster."""
     values, least = model.parameter_values, 1e-9 * state_sizes(model, np.abs(state))
     with np.errstate(all="ignore"), contextlib.suppress(ValueError, ArithmeticError):
         path = BDF(lambda _, x: model.rate(0.0, x, values).full().ravel(), 0.0, state, np.inf, rtol=1e-6, atol=least)
-        for _ in range(FARTHEST):
-            if path.status == "running":
-                path.step()
-        return np.where(np.abs(path.y) <= least, 0.0, path.y) if np.isfinite(path.y).all() else state
+        while path.status == "running" and path.nfev < FARTHEST:
+            path.step()
+        before, after = (np.abs(path.fun(0.0, x) / least).max() for x in (state, path.y))
+        return np.where(np.abs(path.y) <= least, 0.0, path.y) if after < before else state
     return state
 
 

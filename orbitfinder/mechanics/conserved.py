@@ -61,14 +61,15 @@ def linear_invariants(inputs: Sequence[ca.SX], rate: ca.SX) -> list[list[int]]:
             column = max(k for k in range(size) if row[k])
             inverse = pow(row[column], -1, PRIME)
             pivots[column] = [a * inverse % PRIME for a in row]
-        spare -= not any(row)
-    rows, half = list[list[int]](), PRIME // 2
+        else:
+            spare -= 1
+    rows = list[list[int]]()
     for free in {*range(size)} - pivots.keys():
         c = [int(k == free) for k in range(size)]
         for column, row in reversed(pivots.items()):
             c[column] = -sum(map(operator.mul, row, c)) % PRIME
         scale = lcm(*(Fraction(each, PRIME).limit_denominator(LARGEST).denominator for each in c))
-        row = [(each * scale + half) % PRIME - half for each in c]
+        row = [(each * scale + LARGEST) % PRIME - LARGEST for each in c]
         rows += [row] if max(map(abs, row)) < LARGEST else []
     return rows
 

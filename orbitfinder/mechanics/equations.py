@@ -91,8 +91,8 @@ def equations(
     See Also:
         `of.ode`, `of.hamiltonian` and `of.lagrange` from Python functions, `of.from_xpp` for XPPAUT's files.
     """
-    given = {k: value for k, value in locals().items() if k not in ("units", "find_invariants")}
-    given = {k: _plain(value) for k, value in given.items() if value is not None and value != ()}
+    given = {k: _plain(value) for k, value in locals().items()
+             if value is not None and value != () and k not in ("units", "find_invariants")}  # fmt: skip
     given = {"kind": "equations", "parameters": {}} | given
     form = _form(given)
     names = [*(states or rates or ())] if form == "rates" else [*coordinates, *momenta]

@@ -132,7 +132,7 @@ def ode(
     integrals = invariants
     if isinstance(integrals, Mapping):
         integrals = [symbols.invariant(name, _expression(name, scalar, symbols)) for name, scalar in integrals.items()]
-    taken = {*states, *values, *(each.name for each in integrals)}
+    taken = [*states, *values, *(each.name for each in integrals)]
     free = (name for k in count(1) if (name := f"total_{k}") not in taken)
     for row in linear_invariants([symbols.t, symbols.column, symbols.numbers], rate) if find_invariants else ():
         total = symbols.invariant(name := next(free), ca.dot(ca.DM(row), symbols.column))
