@@ -73,8 +73,7 @@ def equations(
         angles: states or coordinates that may turn.
         period: of the explicit dependence on the time, a number or a text of parameters such as "2*pi/omega".
         units: words for time, length, mass, angle, or a state or parameter by name ("ms", "mV"); nothing is converted.
-        find_invariants: whether linear ones of rates, c.x with c.x' = 0 as "S + I + R", are searched for; the
-            description has them as total_1, ...
+        find_invariants: whether linear ones of rates, c.x with c.x' = 0 as "S + I + R", are searched for and described.
 
     Returns:
         A Model, which files describe by its text.
