@@ -34,7 +34,7 @@ SEED, FIELDS, MASSES = 58, 20, 10
 """Of all cases; curves of equilibria and families of cycles, of which so many cases each are taken"""
 COUNTS = {"structures": 100, "cycles": 200, "equilibria": 200}
 HARDER, STIFFER = 0.5, 1e-7
-"""Share by which a spring is stiffer at its largest stretch; distance from the axis below which none is decided"""
+"""Share by which a spring is stiffer where it is most stretched; distance from the axis below which none is decided"""
 LESS = ("undecided", "marginal", "neutral", "degenerate", "unknown", "no orbit")
 
 
@@ -91,23 +91,27 @@ def structure(seed: int, least: int = 10, most: int = 80) -> Structure:
     """A row of masses with springs to its neighbours and to walls, some of them cubic, driven near one of its modes."""
     random = np.random.default_rng((SEED, seed))
     n = int(random.integers(least, most + 1))
-    own, walls = 10 ** random.uniform(-0.5, 0.5, n - 1), 10 ** random.uniform(-1.0, 1.0) * random.uniform(0.2, 1.8, n)
+    spread = random.choice([0.02, 0.5])  # alike, so that motions go through all, or not
+    own, walls = (
+        10 ** random.uniform(-spread, spread, n - 1),
+        10 ** random.uniform(-4.0, 0.5) * random.uniform(1, 1.5, n),
+    )
     stiffness = np.diag(walls) + np.diag(np.append(own, 0.0)) + np.diag(np.append(0.0, own))
     stiffness -= np.diag(own, 1) + np.diag(own, -1)
     every = [*((k + 1, k) for k in range(n - 1)), *((k, -1) for k in range(n))]
-    picked = random.permutation(len(every))[: int(random.choice([1, 3, n]))]
+    picked = random.permutation(len(every))[: int(random.choice([1, max(n // 3, 2), n, 2 * n - 1]))]
     springs = tuple(every[k] for k in picked)
     squares = np.linalg.eigvalsh(stiffness)
-    frequency = float(np.sqrt(squares[int(random.integers(0, n))]) * random.uniform(0.4, 1.3))
-    share = 10 ** random.uniform(-4.0, -2.0)  # of critical damping, at the frequency
+    frequency = float(np.sqrt(squares[int(n * random.uniform() ** 3)]) * random.uniform(0.4, 1.3))
+    share = 10 ** random.uniform(-4.5, -2.0)  # of critical damping, at the frequency
     damping = share * frequency * np.eye(n) + random.choice([0.0, share / frequency]) * stiffness
     made = Structure(stiffness, damping, springs, np.ones(len(springs)), int(random.integers(0, n)), 1.0, frequency)
     answer = np.linalg.solve(stiffness + 1j * frequency * damping - frequency**2 * np.eye(n), np.eye(n)[made.driven])
     size = 1.0 / np.abs(answer).max()
     stretched = np.abs(made.stretches() @ answer) * size
     stiff = np.array([own[j] if j >= 0 else walls[i] for i, j in springs])
-    # 3 k3 d^2 is the slope of a cubic spring: half of the linear one where the most stretched is so
-    cubic = HARDER / 3 * stiff / max(float((stretched**2).max()), 1e-12)
+    # 3 k3 d^2 is the slope of a cubic spring: half of the linear one at the root mean square of all stretches
+    cubic = HARDER / 3 * stiff / max(float((stretched**2).mean()), 1e-12)
     return Structure(stiffness, damping, springs, cubic, made.driven, size, frequency)
 
 

@@ -348,7 +348,7 @@ def test_an_energy_takes_gyroscopic_forces():
 
 @pytest.mark.slow
 def test_slow_modes_of_many_coordinates_tell_as_all_do(monkeypatch):
-    """What may grow of 41 masses is found from 30 slow modes as from all; where more would be needed it says so."""
+    """What may grow of 41 masses is found from 30 slow modes as from all; where averaging does not tell it says why."""
     point = begun(masses(41, 0.225, damping=0.001), "frequency")
     monkeypatch.setattr(hill, "ALL", 40)
     known = exponents(point.problem, point.w)
@@ -358,8 +358,8 @@ def test_slow_modes_of_many_coordinates_tell_as_all_do(monkeypatch):
         point.w.known.pop("exponents")
         few = exponents(point.problem, point.w)
         assert few.values[0] == pytest.approx(known.values[0], abs=1e-9)
-        assert few.stability == ("asymptotically stable" if modes == 30 else "undecided")
-    assert few.why == "an energy does not bound what its stiffness does as it changes; more modes than 10 may grow"
+        assert few.stability == "undecided"
+        assert ("the next order of averaging is 1.1 of the first" if modes == 30 else "modes than 10 may") in few.why
 
 
 def test_a_verdict_of_450_masses_is_proved():
