@@ -166,12 +166,8 @@ def test_the_family_that_verify_let_pass(tmp_path):
 @pytest.mark.slow
 def test_a_hundred_structures_whose_springs_harden_by_half():
     """10 to 80 coordinates: no verdict is against the monodromy, and at most one in five is left open."""
-    wrong, less, decided = [], 0, 0
-    for seed, (word, growth) in enumerate(counted.structures(100)):
-        sense = counted.sense(word, growth)
-        wrong += [seed] if sense == "wrong" else []
-        less += sense in counted.LESS
-        decided += sense == "right"
-    assert wrong == []
-    assert less <= 20
-    assert decided >= 80
+    senses = [counted.sense(*each) for each in counted.structures(100)]
+    orbits = [sense for sense in senses if sense != "no orbit"]
+    assert len(orbits) >= 80 and "wrong" not in orbits
+    assert 5 * sum(sense in counted.LESS for sense in orbits) <= len(orbits)
+    assert orbits.count("right") >= 80
