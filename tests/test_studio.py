@@ -11,6 +11,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +29,12 @@ from orbitfinder.mechanisms.machines import simplest_walker
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem
-from orbitfinder.records.family import load_family
+from orbitfinder.records.family import load_family, save_family
 from orbitfinder.records.registry import load_orbit
 from orbitfinder.studio.films import draggable, pose, pullable, view
 from orbitfinder.studio.plots import clicked, section_figure
 from orbitfinder.studio.serve import MOST_TABS, free_port, redirect
-from orbitfinder.studio.session import Session, leaving, opened, parameters, rests
+from orbitfinder.studio.session import Session, leaving, opened, parameters, rests, session_folder
 from orbitfinder.studio.tasks import Tasks
 from orbitfinder.studio.worker import RefusedError, StoppedError, TaskProcess
 
@@ -280,6 +281,8 @@ def test_a_family_whose_process_was_killed_is_kept_as_far_as_it_came(tasks, sess
 
     with pytest.raises(KilledError):
         Tasks(die).followed(item.file, "energy", 10, "part", session.folder)
+    again = begun_again(session)  # a studio that died with it finds both
+    assert list(again.items) == [name, "part"] and len(again.items["part"].family.points) == 2
     family = session.rescued("part")
     assert len(family.points) == 2 and family.ends == ()
     session.keep_family(family, name, 10)
@@ -499,7 +502,7 @@ def test_only_this_user_can_read_where_a_browser_is_sent(tmp_path):
 
 
 @pytest.mark.needs("studio")
-def test_a_tab_that_is_closed_leaves_nothing(session):
+def test_a_tab_that_is_closed_leaves_what_was_found(session):
     from types import SimpleNamespace
 
     from orbitfinder.studio.page import Page
@@ -508,7 +511,62 @@ def test_a_tab_that_is_closed_leaves_nothing(session):
     page.timer, page.background = SimpleNamespace(deactivate=int), SimpleNamespace(close=int)
     (session.folder / "orbit.json").touch()
     page.close()
-    assert not session.folder.exists()
+    assert (session.folder / "orbit.json").exists()
+
+
+def begun_again(session):
+    """The same folder as a reloaded page, a second tab or a studio after a crash finds it."""
+    again = Session(session.opened, session.folder, session.out)
+    again.restore()
+    return again
+
+
+def found_before(session):
+    """A session with an orbit and a family of it, as their tasks write them; a shipped orbit stands for the first."""
+    orbit = load_orbit(ROOT / "results" / "gallery" / "duffing" / "orbit.json")
+    name = session.unused(set())
+    of.save_orbit(replace(orbit, name=name), session.folder / name / "orbit.json")
+    session.keep_orbit(replace(orbit, name=name))
+    shipped = load_family(ROOT / "results" / "families" / "henon-heiles-loop" / "family.json")
+    family = replace(shipped, name=f"{name}-energy", points=shipped.points[:3], events=(), ends=())
+    save_family(family, session.folder / family.name)
+    session.keep_family(family, name, 2)
+    return name
+
+
+def test_what_was_found_is_brought_back_from_the_sessions_folder(session):
+    name = found_before(session)
+    again = begun_again(session)
+    assert again.tree() == session.tree() and again.commands() == session.commands() and not again.damaged
+    assert again.items[name].orbit.period == session.items[name].orbit.period
+    assert len(again.items[f"{name}-energy"].family.points) == 3
+    assert again.unused(set()) == "double-pendulum-2"  # a name that is there is not given again
+    again.items[name].files = again.items[name].files[1:]  # its problem file is not of this test
+    again.items[f"{name}-energy"].files = again.items[f"{name}-energy"].files[1:]
+    assert len(again.save()) == 4 and again.save() == []
+    assert all(item.saved for item in begun_again(session).items.values()) and begun_again(session).save() == []
+
+
+@pytest.mark.parametrize("spoil", ["note", "orbit", "name", "files"])
+def test_a_damaged_file_of_a_session_is_reported_and_left_alone(session, spoil):
+    name = found_before(session)
+    file = session.folder / (f"{name}/orbit.json" if spoil == "orbit" else f"{name}.json")
+    text = file.read_text()
+    changed = {"name": text.replace(f'"name": "{name}"', '"name": "other"'),
+               "files": text.replace(f'"{name}.toml"', f'"{name}/../../../x.toml"')}  # fmt: skip
+    file.write_text(changed.get(spoil, text[:40]))
+    left = file.read_bytes()
+    again = begun_again(session)
+    assert list(again.items) == [f"{name}-energy"] and len(again.damaged) == 1
+    assert str(file) in again.damaged[0] and "left alone" in again.damaged[0]
+    assert file.read_bytes() == left and again.unused(set()) == "double-pendulum-2"
+
+
+def test_two_studios_at_once_have_folders_of_their_own(tmp_path):
+    with session_folder(tmp_path, "clock") as one, session_folder(tmp_path, "clock") as other:
+        assert (one.name, other.name) == ("clock-1", "clock-2") and one.parent == tmp_path / "sessions"
+    with session_folder(tmp_path, "clock") as again:
+        assert again == one
 
 
 @pytest.fixture

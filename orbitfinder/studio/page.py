@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import shutil
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -107,13 +106,12 @@ class Page(Desk):
         await self._first()
 
     def close(self) -> None:
-        """End the processes of a tab that has gone, and take its folder away."""
+        """End the processes of a tab that has gone; what was found stays in the session's folder."""
         if self.timer is not None:
             self.timer.deactivate()
             self.background.close()
         self.quick.close()
         self.long.close()
-        shutil.rmtree(self.session.folder, ignore_errors=True)
 
     # ------------------------------------------------------------------ what the page is made of
 
@@ -223,6 +221,8 @@ class Page(Desk):
             self.tree = ui.tree([], label_key="label", on_select=self.safe(self._selected))
             self.tree.props('id="tree"').set_visibility(False)
             self.none = ui.label("Nothing yet: find an orbit, and it is listed here.").classes("quiet")
+            for sentence in (f"Written as it is found to {self.session.folder}.", *self.session.damaged):
+                ui.label(sentence).classes("quiet")
             self.commands = ui.code("", language="bash").classes("commands")
             self.commands.copy_button.props('aria-label="Copy the command lines"')
             self.commands.set_visibility(False)
@@ -422,6 +422,8 @@ class Page(Desk):
         if item is None or not self.along.value:
             return self.say("find an orbit first; then its family can be followed")
         name, parameter, points = f"{item.name}-{self.along.value}", str(self.along.value), self._points()
+        while (self.session.folder / name).exists() and name not in self.session.items:  # what is damaged stays
+            name += "-again"
         self._begin(name, parameter)
         try:
             family = await self.searched(

@@ -11,11 +11,12 @@ import threading
 import time
 import webbrowser
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from orbitfinder.errors import InputError
-from orbitfinder.studio.session import Session, opened
+from orbitfinder.studio.session import Session, opened, session_folder
 
 HOST = "127.0.0.1"
 PORT = 8642
@@ -102,7 +103,7 @@ def serve(file: Path | None, out: Path, port: int | None, browser: bool, announc
     from orbitfinder.studio.page import ASSETS, SITE, Page  # noqa: PLC0415
 
     taken: set[str] = set()
-    tabs: set[Path] = set()
+    tabs: set[str] = set()
     made = logging.getLogRecordFactory()
     logging.setLogRecordFactory(lambda *given, **named: brief(made(*given, **named)))
     app.add_exception_handler(404, lambda *_: PlainTextResponse("not found", 404))
@@ -110,17 +111,22 @@ def serve(file: Path | None, out: Path, port: int | None, browser: bool, announc
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])
     app.add_static_files(f"/{token}/studio", ASSETS)
     app.add_static_files(f"/{token}/site", SITE)
-    with tempfile.TemporaryDirectory(prefix="orbitfinder-studio-", ignore_cleanup_errors=True) as folder:
+    with (
+        tempfile.TemporaryDirectory(prefix="orbitfinder-studio-", ignore_cleanup_errors=True) as folder,
+        session_folder(out, origin.word) as kept,
+    ):
+        first = Session(origin, kept, out)
+        first.restore()
 
         async def tab() -> None:
             if len(tabs) >= MOST_TABS:
                 ui.label(f"{MOST_TABS} tabs of this studio are open, each with processes of its own; close one "
                          "and load this page again a minute later")  # fmt: skip
                 return
-            own = Path(tempfile.mkdtemp(dir=folder))
-            tabs.add(own)
-            ui.context.client.on_delete(lambda: tabs.discard(own))
-            await Page(Session(origin, own, out), taken, f"/{token}").built()
+            client = ui.context.client
+            tabs.add(client.id)
+            client.on_delete(lambda: tabs.discard(client.id))
+            await Page(replace(first, energy=None), taken, f"/{token}").built()
 
         ui.page(f"/{token}")(tab)
         address = f"http://{HOST}:{chosen}/{token}"

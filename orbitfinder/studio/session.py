@@ -1,20 +1,24 @@
 """What one tab of the studio holds: a system, where its motion starts, what was found, and how to find it again.
 
-Everything is first written to a folder of the tab, by the same tasks as the commands; saving copies it, whole files
-at a time, under names that nobody else has.
+Everything is written as it is found to the session's folder, by the same tasks as the commands, with a note of what it
+came from: all tabs of a studio share it, and a studio that begins again, as after a crash, finds it there. Saving
+copies it, whole files at a time, under names that nobody else has.
 """
 
 from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.locks import held
 from orbitfinder.atlas.report import summarise
 from orbitfinder.atlas.store import Atlas, AtlasRow
 from orbitfinder.errors import InputError, plural
@@ -31,7 +35,7 @@ from orbitfinder.problemfile.write import entries, orbit_text, toml
 from orbitfinder.records.family import JOURNAL, Family, load_family, read_journal, save_family
 from orbitfinder.records.family import assemble as assembled
 from orbitfinder.records.orbit import Orbit, orbit_to_document
-from orbitfinder.records.reading import file_bytes, write_atomically
+from orbitfinder.records.reading import file_bytes, json_file, read_as, write_atomically, write_json
 from orbitfinder.records.registry import kind_of, load_orbit, member, taken
 from orbitfinder.site.text import mechanism
 
@@ -58,6 +62,11 @@ class Opened:
     orbit: Path | None = None
     family: Path | None = None
     atlas: Path | None = None
+
+    @property
+    def word(self) -> str:
+        """Its name as files may be called."""
+        return re.sub(r"[^A-Za-z0-9_-]+", "-", self.name).strip("-") or "orbit"
 
 
 def opened(file: Path | None) -> Opened:
@@ -131,6 +140,31 @@ def _together(model: Model) -> np.ndarray:
     return loops.state(model)
 
 
+@dataclass(frozen=True)
+class Note:
+    """What the session's folder says of an `Item`, in a file of its own."""
+
+    name: str
+    file: str
+    place: str
+    command: tuple[str, ...]
+    files: tuple[str, ...]
+    parent: str | None
+    saved: bool
+
+
+@contextmanager
+def session_folder(out: Path, name: str) -> Iterator[Path]:
+    """The first folder OUT/sessions/NAME-K that no studio has that runs, for this process alone in the block."""
+    for number in count(1):
+        folder = out / "sessions" / f"{name}-{number}"
+        folder.mkdir(parents=True, exist_ok=True)
+        with held(folder / ".lock") as ours:
+            if ours:
+                yield folder
+                return
+
+
 @dataclass
 class Item:
     """Something found or opened: its name, its file, what it came from, and how a command line finds it again."""
@@ -151,7 +185,7 @@ class Item:
 
 @dataclass
 class Session:
-    """One tab: what it opened, its own `folder`, the folder `out` that is saved to, and what it found, by name."""
+    """One tab: what it opened, the session's `folder`, the folder `out` that is saved to, what was found, by name."""
 
     opened: Opened
     folder: Path
@@ -162,6 +196,8 @@ class Session:
     """names of the atlases by what was searched for"""
     own: set[str] = field(default_factory=set)
     """names that were saved from here"""
+    damaged: list[str] = field(default_factory=list)
+    """sentences about files of the folder that could not be read, which are left alone"""
     energy: float | None = None
     """of the motion on the stage (J)"""
 
@@ -255,9 +291,9 @@ class Session:
 
     def unused(self, taken: set[str]) -> str:
         """A name that no tab and no file in the folder has; it joins those `taken`."""
-        base, number = re.sub(r"[^A-Za-z0-9_-]+", "-", self.opened.name).strip("-") or "orbit", 1
-        while (name := f"{base}-{number}") in taken or any(
-            (self.out / f"{name}{end}").exists() for end in ("", ".toml")
+        number, folders = 1, (self.out, self.folder)
+        while (name := f"{self.opened.word}-{number}") in taken or any(
+            (folder / f"{name}{end}").exists() for folder in folders for end in ("", ".toml")
         ):
             number += 1
         taken.add(name)
@@ -297,7 +333,38 @@ class Session:
 
     def _kept(self, item: Item) -> Item:
         self.items[item.name] = item
+        if item.command or item.parent:  # what was opened is opened again
+            self._note(item)
         return item
+
+    def _note(self, item: Item) -> None:
+        told = {part.name: getattr(item, part.name) for part in fields(Note)}
+        write_json(self.folder / f"{item.name}.json", told | {"file": str(item.file.absolute())})
+
+    def restore(self) -> None:
+        """Bring back what the folder holds; what cannot be read is left alone and said in `damaged`."""
+        again = "move it away, or find the orbit again"
+        for path in sorted(self.folder.glob("*.json"), key=lambda path: path.stat().st_mtime):
+            try:
+                note = read_as(Note, json_file(path, "note of the studio", again), str(path), again)
+                item = Item(**vars(note) | {"file": Path(note.file)})
+                if item.name != path.stem or not all(file.startswith(item.name) and ".." not in file
+                                                     for file in item.files):  # fmt: skip
+                    raise InputError(f"{path}: name or files: of another folder; {again}")
+                if item.file.name == "family.json":
+                    item.family = load_family(item.file)
+                elif item.file.suffix == ".sqlite":
+                    item.atlas = tuple(_rows(item.file))
+                else:
+                    item.orbit = load_orbit(item.file)
+                self.items[item.name] = item
+            except (InputError, OSError) as error:
+                self.damaged.append(f"{error}; left alone")
+        for journal in self.folder.glob(f"*/{JOURNAL}"):  # of a family that was cut off
+            name, file = journal.parent.name, journal.with_name("family.json")
+            if not file.exists() and (family := self.rescued(name)) is not None:
+                files = tuple(f"{name}/{part}" for part in (JOURNAL, "family.npz", "family.json"))
+                self.items[name] = Item(name, file, str(file), files=files, family=family)
 
     def save(self) -> list[Path]:
         """Copy everything found that is not saved yet into `out`; the files. Raises `InputError`, `OSError`."""
@@ -312,6 +379,7 @@ class Session:
                 write_atomically(self.out / name, file_bytes(self.folder / name))
                 written.append(self.out / name)
             item.saved = True
+            self._note(item)
         return written
 
     def commands(self) -> list[str]:
