@@ -461,3 +461,10 @@ def test_a_model_is_built_once_for_a_run(tmp_path, monkeypatch):
         monkeypatch.setattr(f"{place}.build_model", lambda *given: built.append(given) or build(*given))
     assert invoke("run", problem(tmp_path, PENDULUM), "--no-figures", "--out", tmp_path).exit_code == 0
     assert len(built) == 1
+
+
+def test_the_default_of_resolve_is_that_of_the_settings():
+    """Said by the help, and an allowed value of the option."""
+    (option,) = [one for one in cli.get_command(None, "continue").params if one.name == "resolve"]
+    default = of.FamilySettings().narrowest
+    assert option.help.endswith(f"[default: {default}]") and option.type.convert(repr(default), option, None) == default
