@@ -23,7 +23,7 @@ def studio(file: Path | None, out: Path, port: int | None, browser: bool) -> Non
     Without a FILE it shows a double pendulum. Needs the extra `studio`. The page is served to this computer alone, at
     an address that is printed and known to nobody else; Ctrl-C ends it.
 
-    What is found is written at once to OUT/sessions/NAME-K, with which the next studio of that NAME and OUT begins.
+    Results are written at once to OUT/sessions/NAME-K, with which the next studio of that NAME and OUT begins.
 
     \b
     Examples:

@@ -106,7 +106,7 @@ class Page(Desk):
         await self._first()
 
     def close(self) -> None:
-        """End the processes of a tab that has gone; what was found stays in the session's folder."""
+        """End the processes of a tab that has gone; results stay in the session's folder."""
         if self.timer is not None:
             self.timer.deactivate()
             self.background.close()
@@ -221,7 +221,7 @@ class Page(Desk):
             self.tree = ui.tree([], label_key="label", on_select=self.safe(self._selected))
             self.tree.props('id="tree"').set_visibility(False)
             self.none = ui.label("Nothing yet: find an orbit, and it is listed here.").classes("quiet")
-            for sentence in (f"Written as it is found to {self.session.folder}.", *self.session.damaged):
+            for sentence in (f"Results are written at once to {self.session.folder}.", *self.session.damaged):
                 ui.label(sentence).classes("quiet")
             self.commands = ui.code("", language="bash").classes("commands")
             self.commands.copy_button.props('aria-label="Copy the command lines"')

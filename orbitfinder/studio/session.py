@@ -1,6 +1,6 @@
 """What one tab of the studio holds: a system, where its motion starts, what was found, and how to find it again.
 
-Everything is written as it is found to the session's folder, by the same tasks as the commands, with a note of what it
+Every result is written at once to the session's folder, by the same tasks as the commands, with a note of what it
 came from: all tabs of a studio share it, and a studio that begins again, as after a crash, finds it there. Saving
 copies it, whole files at a time, under names that nobody else has.
 """
@@ -185,7 +185,7 @@ class Item:
 
 @dataclass
 class Session:
-    """One tab: what it opened, the session's `folder`, the folder `out` that is saved to, what was found, by name."""
+    """One tab: what it opened, the session's `folder`, the folder `out` that is saved to, all results by name."""
 
     opened: Opened
     folder: Path
@@ -343,7 +343,7 @@ class Session:
 
     def restore(self) -> None:
         """Bring back what the folder holds; what cannot be read is left alone and said in `damaged`."""
-        again = "move it away, or find the orbit again"
+        again = "move it away, or search for the orbit again"
         for path in sorted(self.folder.glob("*.json"), key=lambda path: path.stat().st_mtime):
             try:
                 note = read_as(Note, json_file(path, "note of the studio", again), str(path), again)
