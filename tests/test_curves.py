@@ -58,7 +58,8 @@ def test_orbits_along_a_curve_of_folds_are_certified(duffing):
     model = of.load_problem(PROBLEMS / "duffing-resonance.toml").model
     for point in curve.points[::4]:
         judged = of.certify(point, with_parameters(model, point.free))
-        assert judged.passed, (point.value, judged.failures)
+        # at a fold nothing isolates an orbit at its parameters: only the curve's own condition says where it is
+        assert set(judged.failures) <= {"distance"}, (point.value, judged.failures)
 
 
 # ---- exact loci ---------------------------------------------------------------------------------------------

@@ -623,7 +623,9 @@ def test_what_is_not_checked_of_an_end_is_said(tmp_path):
     lost = End("step underflow", "step below 1e-07: no convergence")
     path = save_family(replace(family, events=(), ends=(lost,)), tmp_path)
     answer = CliRunner().invoke(cli, ["verify", str(path)])
-    assert answer.exit_code == 0 and "not checked: " in answer.output and "1 of them not checked" in answer.output
+    # six changes of stability between points, whose events were left out, and the end
+    assert answer.exit_code == 0 and "not checked: a step that failed is not tried again" in answer.output
+    assert "7 of them not checked" in answer.output
 
 
 @pytest.mark.parametrize("end", FALSE, ids=lambda end: end.kind)
@@ -663,4 +665,4 @@ def test_an_error_bar_of_a_reading_that_says_too_much_is_found():
     for share, passes in ((1.0, True), (1e-6, False)):
         sharp = replace(event, check=replace(event.check, value=0.0, error=share * event.check.error))
         said = dict(verified(replace(family, events=(sharp,), ends=()), model))
-        assert [check.passed for check in said.values()] == [passes]
+        assert [check.passed for name, check in said.items() if name.startswith("event")] == [passes]

@@ -294,7 +294,7 @@ EDITS = {
     "state-long": ({"state": [1.0, 0.0, 0.0, 0.0]}, "4 numbers in state"),
     "state-nested": ({"state": [[1.0, 0.0]]}, "state"),
     "state-text": ({"state": ["a", "b"]}, "malformed"),
-    "state-huge": ({"state": [1e308, 0.0]}, "beyond"),
+    "state-huge": ({"state": [1e308, 0.0]}, "up to 1e+300"),
     "winding": ({"winding": [0, 0]}, "2 in winding"),
     "unfolding": ({"unfolding": ["x"]}, "malformed"),
     "expected": ({"expected": {"colour": {"value": 1.0, "tolerance": 1.0}}}, "'colour' is nothing that an orbit"),

@@ -664,7 +664,11 @@ def test_words_and_numbers():
     assert mechanism({"kind": "custom"}) == "custom"
     assert mechanism({"kind": "python", "module": "my_leg", "function": "problem"}) == "my leg"
     assert [plural(1, "orbit"), plural(2, "family"), plural(2, "atlas")] == ["1 orbit", "2 families", "2 atlases"]
-    assert [coordinate("theta3"), coordinate("y1"), coordinate("<x>")] == ["θ<sub>3</sub>", "y<sub>1</sub>", "x"]
+    assert [coordinate("theta3"), coordinate("y1"), coordinate("<x>")] == [
+        "θ<sub>3</sub>",
+        "y<sub>1</sub>",
+        "&lt;x&gt;",
+    ]
     assert number(-0.5) == "\N{MINUS SIGN}0.5" and number(None) == number(float("inf")) == "not computed"
     assert [size(1), size(54_321), size(1_234_567)] == ["1 kB", "54 kB", "1.23 MB"]
     make = slug_maker()

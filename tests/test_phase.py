@@ -28,7 +28,7 @@ def ring(attraction=1.0, out=-0.5, shear=SHEAR):
         turn = TURN + shear * off + COUPLED * x[2]
         return [-attraction * x[0] * off - turn * x[1], -attraction * x[1] * off + turn * x[0], out * x[2]]
 
-    return of.ode(field, ["x", "y", "z"])
+    return of.ode(field, ["x", "y", "z"], find_invariants=out != 0.0)  # z alone is conserved where nothing drives it
 
 
 def found(model, state, period, name="cycle"):

@@ -148,6 +148,10 @@ def test_a_record_is_read_and_replayed_and_a_false_one_is_not(doubled, tmp_path)
     spoilt = branch_document(doubled)
     spoilt["pieces"][0]["radius"] = [1.0]
     path.write_text(json.dumps(spoilt))
+    with pytest.raises(InputError, match="its digest is another"):
+        read_branch(path)
+    del spoilt["record"]
+    path.write_text(json.dumps(spoilt))
     with pytest.raises(InputError, match="do not fit the system"):
         read_branch(path)
     path.write_text("{}")

@@ -42,7 +42,8 @@ def test_continuous_integration_runs_the_two_lines_as_they_stand_here():
     wanted = [
         '"${lines[0]}"',
         '"${lines[1]% && *}"',
-        '"${lines[1]##* && }"',
+        '"${lines[1]##* && } --times $scratch/times.json"',
+        r""""$(.venv/bin/python - <<'END'""",
         "\"${lines[1]##* && } -m 'needs and not slow' $(grep -l mark.needs tests/test_*.py | xargs)\"",
     ]
     assert re.findall(r"^eval (.*)$", commands, re.MULTILINE) == wanted

@@ -125,7 +125,7 @@ def _cycle(model: Model, name: str, born: RestEvent, by: type[March]) -> Start:
     z, count = np.pad(born.state, (0, problem.jets.extra)), INTERVALS if gridded else 1
     _, _, q, mean, double = lyapunov(problem, z, value, born.frequency)
     size, least = SHARE / float(np.abs(q / problem.z_sizes[: q.size]).max()), LEAST
-    if born.criticality:
+    if born.criticality in ("supercritical", "subcritical"):
         size, least = 2 * float(np.sqrt(GROWTH / abs(born.lyapunov))), 0.0
     size = _fitting(problem, z, value, q, born.frequency, size, least)
     equations, why = Equations.of(model, named(NONE.name, model), (name,), by), "none was tried"

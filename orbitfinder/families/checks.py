@@ -523,7 +523,7 @@ def check_cusp(sides: Sides, _: Event) -> Reading:
     along = bent / nonzero(float(np.linalg.norm(bent)))
     value, aside = -0.5 * float(across @ along) * scale, across - (across @ along) * along
     probes = (sides.before, sides.here, sides.after)
-    known = 4 * np.finfo(float).eps + max(probe.tour.closes.distance for probe in probes)
+    known = 4 * np.finfo(float).eps + max(probe.tour.closes.across for probe in probes)
     error = SHARP + float(np.abs([low, high]).max()) * known * scale
     # a cusp goes this little across the direction in which it turns, relative to its bend
     straight = 0.5 * float(np.linalg.norm(aside)) * scale < 0.03

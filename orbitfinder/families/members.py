@@ -117,13 +117,14 @@ def orbit_at(curve: Curve, event: Event, model: Model) -> Orbit:
 def certified(curve: Curve, member: Member) -> Member:
     """The same, `certified` where its orbit passes every check.
 
-    That of an event need not be isolated at its parameter, as it is not at a fold: its own check says how
-    far the event may be off.
+    That of an event or on a curve of them need not be isolated at its parameters, as it is not at a fold: its own
+    check says how far it may be off.
     """
     model = with_parameters(curve.equations.model, member.free)
     orbit = member if isinstance(member, FamilyPoint) else orbit_at(curve, member, model)
     failed = set(certify(orbit, model).failures)
-    return replace(member, certified=failed <= ({"distance"} if isinstance(member, Event) else set()))
+    special = isinstance(member, Event) or curve.test is not None
+    return replace(member, certified=failed <= ({"distance"} if special else set()))
 
 
 def batch_certified(curve: Curve, batch: Batch) -> Batch:

@@ -44,6 +44,11 @@ def stability(values: np.ndarray, errors: np.ndarray) -> str:
     return "unstable" if (real > errors).any() else "stable" if (real < -errors).all() else "neutral"
 
 
+def _nearer(state: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Sizes of a state's differences where the equations may not be defined beyond 0."""
+    return np.asarray(np.minimum(sizes, np.where(state == 0.0, np.inf, np.abs(state))))
+
+
 @dataclass(frozen=True, eq=False)
 class Judge:
     """Of equilibria of a model along a parameter, or two: Hamilton's equations in y = (q, momentum), or first-order
@@ -92,8 +97,8 @@ class Judge:
             if bound > SLOPES:
                 shifted = slopes - upper[:, None, None] * np.eye(len(slopes))
                 bound = float(np.linalg.svd(shifted, compute_uv=False)[:, -1].max())
-        nearer = np.minimum(sizes, np.where(state == 0.0, np.inf, np.abs(state)))
-        if bound > SLOPES and (nearer < sizes).any():  # near where the equations are not defined
+        nearer = _nearer(state, sizes)
+        if bound > SLOPES and (nearer < sizes).any():
             bound = self.left(state, value, nearer, pace, claimed)[1]
         return largest, bound
 
@@ -109,7 +114,9 @@ class Judge:
     def follows(self, point: Equilibrium, sizes: np.ndarray, pace: float) -> bool:
         """Whether the verdict on stability does, from the eigenvalues of differences of the rates; where these leave it
         open, from the recorded ones with error bars by the conditions of those."""
-        slopes = self._differences(point.state, point.value, sizes, pace)[1]
+        slopes, nearer = self._differences(point.state, point.value, sizes, pace)[1], _nearer(point.state, sizes)
+        if not np.isfinite(slopes).all() and (nearer < sizes).any():
+            return self.follows(point, nearer, pace)
         claimed, size = point.eigenvalues / pace, np.abs(slopes)
         if not (np.isfinite(slopes).all() and np.isfinite(claimed).all() and claimed.size <= len(slopes)):
             return False

@@ -103,6 +103,7 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
     exact = problem.model.rates is None and not problem.model.angular.any()
     measured = scales.units_of(problem.model, guess.nodes, guess.period, exact) if exact else flow.units
     states, even = np.asarray(measured or np.ones(equations.size)), not (exact or flow.units)
+    states = np.where(states == 0, 1.0, states)  # a guess at rest says no size
     loop = loop_of(problem, equations, guess, far, problem.pin, None if even else states)
     scaled = guess.symbols()
     w, given = ca.vertcat(*scaled[0], *scaled[1]), ca.MX.sym("ends", equations.size, len(guess.nodes))

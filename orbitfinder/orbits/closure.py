@@ -46,13 +46,15 @@ ROUND_OFF = 30.0
 @dataclass(frozen=True)
 class Closure:
     """The largest component of the gap in extents of the motion, A, the distance to the true orbit, gap and A of the
-    `worst` part of the state that nothing else drives, which may be the whole, and the relative error of the period."""
+    `worst` part of the state that nothing else drives, which may be the whole, the relative error of the period, and
+    the distance `across` the directions in which nothing is determined, for an orbit that a further condition fixes."""
 
     gap: float
     amplification: float
     distance: float
     worst: tuple[float, float]
     period_error: float = 0.0
+    across: float = np.inf
 
 
 def closes(
@@ -79,8 +81,8 @@ def closes(
     stays = (np.reshape(transitions, (-1, *unit.shape)) == unit).all(axis=(0, 2)) & (states == states[0]).all(axis=0)
     free, basis = unit[stays & (gap == 0)], unit if basis is None else basis
     frame = basis @ complement(free @ basis, (free if kept is None else kept) @ basis)
-    off = distance(frame.T @ gap, (-frame.T, frame.T), transitions, states, rate)
-    return Closure(widest, whole[1], off, worst, late)
+    off, across = distance(frame.T @ gap, (-frame.T, frame.T), transitions, states, rate)
+    return Closure(widest, whole[1], off, worst, late, across)
 
 
 def _late(gap: np.ndarray, carried: tuple[np.ndarray, float], rate: np.ndarray, kept: np.ndarray) -> float:
@@ -132,9 +134,10 @@ def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.nd
 def distance(
     gap: np.ndarray, rows: tuple[np.ndarray, np.ndarray], transitions: Sequence[np.ndarray], states: np.ndarray,
     late: np.ndarray | None,
-) -> float:  # fmt: skip
+) -> tuple[float, float]:  # fmt: skip
     """Norm of the smallest (d, d tau) that makes up for a gap (r) in what `rows` (r x m each) ask of both ends of a
-    motion, of which the period changes the last by `late` (m); infinite where any could.
+    motion, of which the period changes the last by `late` (m); infinite where any could. And the same across the
+    directions in which any could.
 
     What rates alone say of a component that hardly moves is in its gap, and known to the round-off of rates.
     """
@@ -143,14 +146,15 @@ def distance(
     grown = carried(transitions, np.ones(size.size))[1]
     columns = np.column_stack([first + last @ later[-1], *([] if late is None else [last @ late])])
     if not (np.isfinite(grown) and np.isfinite(columns).all() and np.isfinite(gap).all()):
-        return float("inf")
+        return float("inf"), float("inf")
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     size = np.where(still(states), np.abs(later[-1] - np.eye(size.size)) @ size / SHAKEN, size)
     hidden = np.max([np.linalg.norm(left.T @ last @ after * size, axis=1) for after in later], axis=0)
     excused = np.minimum(ROUND_OFF * LARGEST_SCALE, grown * np.linalg.norm(gap) / nonzero(singular))
     beyond = np.maximum(np.abs(left.T @ gap) - EPSILON * excused, 0.0) + SHAKEN * EPSILON * hidden
     known = singular - MATRIX * grown
-    return float(np.linalg.norm(np.divide(beyond, known, out=np.full(known.shape, np.inf), where=known > 0)))
+    steps = np.divide(beyond, known, out=np.full(known.shape, np.inf), where=known > 0)
+    return float(np.linalg.norm(steps)), float(np.linalg.norm(steps[known > 0]))
 
 
 def still(states: np.ndarray) -> np.ndarray:

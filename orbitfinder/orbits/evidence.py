@@ -558,7 +558,7 @@ def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
             late = carried(pieces, np.ones(units.size))[0] @ again.rate / units * period / symmetry.parts
             missed = (first @ path[0] + last @ path[-1] - constant) / sizes[:, 0]
             asked = first * units / sizes, last * units / sizes
-            least = min(least, distance(missed, asked, pieces, path / units, late))
+            least = min(least, distance(missed, asked, pieces, path / units, late)[0])
     return least
 
 

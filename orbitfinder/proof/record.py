@@ -215,11 +215,12 @@ def close(recorded: Any, fresh: float, factor: float = 2.0) -> bool:
     return isinstance(recorded, (int, float)) and fresh / factor <= recorded <= factor * fresh
 
 
-def bounding(recorded: Any, fresh: float, share: float = 1e-3, rounded: float = 1e-12) -> bool:
+def bounding(recorded: Any, fresh: float, share: float = 0.05, rounded: float = 1e-12) -> bool:
     """True for a contraction below 1 and not below what is found; a wider bound is true as well.
 
-    On another processor C, a float inverse, is another: by that a contraction differs by a `share` of it (2e-8 at most
-    was measured), or wholly where derivatives hardly change over the box and it is `rounded` off from 1 - 1.
+    Records of earlier versions were proved by other series, whose enclosures make it up to 3 % smaller (measured on the
+    shipped orbits of Rossler), so that a `share` is allowed. On another processor C, a float inverse, is another, which
+    changes it by 2e-8, or wholly where derivatives hardly change over the box and it is `rounded` off from 1 - 1.
     """
     return isinstance(recorded, (int, float)) and fresh <= (1 + share) * recorded + rounded and recorded < 1
 

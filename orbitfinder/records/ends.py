@@ -59,14 +59,10 @@ def end_kind(name: str) -> EndKind:
     return ENDS.get(name, EndKind())
 
 
-FEWEST = 4
-"""Points of a curve that was followed, though nothing leads on from its last"""
-
-
-def stuck(record: Any) -> str:
-    """Why a family or a branch of fewer points than that cannot go on; "" of others."""
+def stuck(record: Any, fewest: int = 4) -> str:
+    """Why a family or a branch of fewer points than that cannot go on; "" of others, which were followed."""
     reasons = [end.reason for end in record.ends if end_kind(end.kind).stuck]
-    return reasons[0] if reasons and len(record.points) < FEWEST else ""
+    return reasons[0] if reasons and len(record.points) < fewest else ""
 
 
 def unknown_end(kind: str, events: Iterable[str]) -> str:

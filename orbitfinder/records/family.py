@@ -51,8 +51,12 @@ METHODS = ("product", "periodic QR", "Hill")
 """How multipliers were computed: as eigenvalues of the state-transition matrices' product, factor by factor, or, as few
 as it takes, of Hill's matrix."""
 AGAIN = "continue the family again"
-BECOMES = ("becomes stable", "becomes unstable")
-"""The details of a change of stability, in the order in which a family is listed"""
+BECOMES, DECIDED, UNCHANGING = (
+    ("becomes stable", "becomes unstable"), ("unstable", "asymptotically stable", "elliptic"),
+    ("turn", "extremum", "resonance"),
+)  # fmt: skip
+"""The details of a change of stability, in the order in which a family is listed; verdicts that say something; events
+at which they do not change"""
 CURVE: dict[str, Any] = {
     "cycles": int, "watch": dict[str, Any], "parameters": tuple[str, str], "test": dict[str, Any], "method": str,
     "form": str, "pace": float, "fixed": dict[str, float], "free": tuple[str, ...],
@@ -68,8 +72,6 @@ def check_curve(curve: Mapping[str, Any]) -> None:
         check_curve({name: entry for name, entry in test.items() if name == "parameters"})
     if curve.get("cycles", 1) < 1:
         raise ValueError(f"curve.cycles: expected 1 at least, got {curve['cycles']}")
-DECIDED, UNCHANGING = ("unstable", "asymptotically stable", "elliptic"), ("turn", "extremum", "resonance")
-"""Verdicts that say something; events at which they do not change"""
 
 
 def _check_place(member: Any) -> None:

@@ -342,8 +342,8 @@ def _numbers(_: Any, value: Any, where: str) -> np.ndarray:
     except ValueError as error:
         raise _wrong(where, "numbers in rows of one length", value) from error
     fits = 1 <= numbers.ndim <= 2 and not isinstance(value, str)
-    if not fits or (numbers.size and (numbers.dtype.kind not in "fiu" or not np.abs(numbers).max() < 1e300)):
-        raise _wrong(where, "a list of numbers below 1e+300", value)
+    if not fits or (numbers.size and (numbers.dtype.kind not in "fiu" or not np.abs(numbers).max() <= 1e300)):
+        raise _wrong(where, "a list of numbers up to 1e+300", value)
     return numbers.astype(float)
 
 
