@@ -42,8 +42,10 @@ def verdict(family, folder):
 
 
 def only(family, event):
-    """The same with one event and no end."""
-    return replace(family, events=(event,), ends=())
+    """The orbits beside one event, with that and no end."""
+    first = max(event.index - 3, 0)
+    points = family.points[first : event.index + 5]
+    return replace(family, points=points, events=(replace(event, index=event.index - first),), ends=())
 
 
 def moved(family, event, share=1e-4):
