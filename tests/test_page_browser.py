@@ -751,6 +751,7 @@ def test_a_relative_orbit_goes_on_turning_over_the_end_of_its_period(browser, sp
     step, turned, back = browser.execute_script(apart)
     assert step < 0.1 < 0.5 < turned and back < 0.05
     go(browser, spatial / "three-body-lyapunov.html", motion="reduce")
+    wait(browser, "return orbitfinder.player.stale === false")  # painted: before, nothing has a place in the picture
     inside = browser.execute_script(f"{SEEN} return m.around.marks.map(one => [one[0], !s.within(s.spot(one[1]))[2]])")
     assert dict(inside)["L1"] and not dict(inside)["Earth"]
     before = browser.execute_script(f"{SEEN} {INK}")

@@ -83,22 +83,22 @@ def test_an_atlas_is_proved_in_shards_that_share_nothing(monkeypatch):
 
 
 def test_a_contraction_is_a_bound():
-    """Not less than the one found, but for round-off, and below 1."""
+    """Not less than the one found, but for what older series left out, and below 1."""
     for fresh in (1e-7, 0.12, 0.67):
         assert all(bounding(recorded, fresh) for recorded in (fresh, fresh * (1 - 1e-8), 1.4 * fresh, 0.999))
         assert not any(
-            bounding(recorded, fresh) for recorded in (0.6 * fresh, 0.99 * fresh, 1.0, 1.34, 0.0, -1.0, None)
+            bounding(recorded, fresh) for recorded in (0.6 * fresh, 0.94 * fresh, 1.0, 1.34, 0.0, -1.0, None)
         )
     assert bounding(1e-16, 3e-16)  # of a linear system all of it is round-off
 
 
 @pytest.mark.slow
 def test_a_contraction_is_a_bound_of_the_one_found():
-    """Of the wheel's proof: not one share less, nothing of 1 or above, and more than is found up to there."""
+    """Of the wheel's proof: not a twentieth less, nothing of 1 or above, and more than is found up to there."""
     file = RESULTS / "proofs" / "gaits" / "rimless-wheel.json"
     orbit = load_orbit(file)
     recorded = read_entry(orbit, file)
-    for changed in (0.6, 0.99, 1.34 / recorded["contraction"], 1 / recorded["contraction"], 0.0, -1.0):
+    for changed in (0.6, 0.94, 1.34 / recorded["contraction"], 1 / recorded["contraction"], 0.0, -1.0):
         wrong = replay(orbit, {**recorded, "contraction": changed * recorded["contraction"]})[1]
         assert [one.partition(":")[0] for one in wrong] == ["contraction"], (changed, wrong)
     for kept in (1.0, 2.0, 0.99 / recorded["contraction"]):
