@@ -100,24 +100,18 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
         far = far_end(problem, nodes, flow)
     else:
         guess, far = nodes, equations.links.passed(nodes, equations.ends(nodes))[0][-1]
-    exact = problem.model.rates is None and not problem.model.angular.any()
-    measured = scales.units_of(problem.model, guess.nodes, guess.period, exact) if exact else flow.units
-    states, even = np.asarray(measured or np.ones(equations.size)), not (exact or flow.units)
-    states = np.where(states == 0, 1.0, states)  # a guess at rest says no size
-    loop = loop_of(problem, equations, guess, far, problem.pin, None if even else states)
+    loop = loop_of(problem, equations, guess, far, problem.pin, np.asarray(flow.units) if flow.units else None)
     scaled = guess.symbols()
     w, given = ca.vertcat(*scaled[0], *scaled[1]), ca.MX.sym("ends", equations.size, len(guess.nodes))
-    clock = guess.period / (2 * np.pi)
-    clock, own = 1.0 if even else clock if exact else float(scales.snapped(clock)), np.abs(guess.free)
-    units = guess.joined(states, clock, 1.0 / clock, np.where(even | (own == 0), 1.0, own))
+    units = _units(flow, guess)
     start = guess.vector / units
-    parts, tail = scaled if even else _times(scaled, units)
+    parts, tail = scaled if not flow.units else _times(scaled, units)
     known = _variables(loop, flow, parts, tail, given)
     equalities = _rows(loop, problem, known, tail, far)
     lost, own = np.zeros(equalities.numel()), loop.lost(guess)  # the user's constraints come after the loop's rows
     lost[: own.size] = own
-    if not even:
-        sizes = _sizes(equalities, (w, given), start, guess, states)
+    if flow.units:
+        sizes = _sizes(equalities, (w, given), start, guess, flow)
     else:
         sizes = np.ones(lost.size)
         steepest = np.abs(loop.slopes(guess, loop.conditions)).max(axis=1)  # of a large mass by over 256
@@ -127,11 +121,9 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
     rows = ca.Function("rows", [w, given], [equalities if np.all(sizes == 1.0) else equalities / ca.DM(sizes)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
-    if beat := problem.model.forcing_period:  # no step may leave it
-        tail = [problem.forcing_cycles * beat(problem.model.parameters(problem.free, tail[-1])), *tail[1:]]
     ends = ca.horzcat(*(part.end(*given) for part, given in spans(equations, flow, parts, tail)))
     constraints = rows(w, ends)
-    lower, upper = (bound.vector / units for bound in _bounds(problem, even, guess, guess.at(units)))
+    lower, upper = (bound.vector / units for bound in _bounds(problem, flow, guess, guess.at(units)))
     weights = _weights(problem, guess.at(start))
     value, residuals, inequalities = aims(w, ends)
     if problem.objective == "nearest":
@@ -159,6 +151,14 @@ def units_of(problem: Problem) -> tuple[float, ...]:
     return scales.units_of(problem.model, states, guess.period)
 
 
+def _units(flow: Flow, guess: Unknowns) -> np.ndarray:
+    """Units of every entry of w: the flow's for nodes and period, 1 / period, the freed parameters' own sizes."""
+    if not flow.units:
+        return np.ones(guess.vector.size)
+    clock, sizes = float(scales.snapped(guess.period / (2 * np.pi))), np.abs(guess.free)
+    return guess.joined(np.asarray(flow.units), clock, 1.0 / clock, np.where(sizes > 0, sizes, 1.0))
+
+
 def _times(parts: tuple[list[ca.MX], list[ca.MX]], units: np.ndarray) -> tuple[list[ca.MX], list[ca.MX]]:
     """The parts of w in the model's units."""
     nodes, tail = parts
@@ -167,12 +167,10 @@ def _times(parts: tuple[list[ca.MX], list[ca.MX]], units: np.ndarray) -> tuple[l
     return scaled[: len(nodes)], scaled[len(nodes) :]
 
 
-def _sizes(
-    rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, states: np.ndarray
-) -> np.ndarray:
+def _sizes(rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, flow: Flow) -> np.ndarray:
     """What a unit of the unknowns changes in each row at the start, which rows are measured in."""
     w, ends = inputs
-    sizes = ca.DM(np.tile(states, len(guess.nodes)))
+    sizes = ca.DM(np.tile(np.asarray(flow.units), len(guess.nodes)))
     both = ca.horzcat(ca.jacobian(rows, w), ca.jacobian(rows, ends) @ ca.diag(sizes))
     slopes = ca.Function("slopes", [w, ends], [both])
     size = np.abs(slopes(start, np.roll(guess.nodes, -1, axis=0).T).full()).max(axis=1)
@@ -254,14 +252,15 @@ def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | Non
     return end_state(flow, nodes[-1], duration, (len(nodes) - 1) * duration)
 
 
-def _bounds(problem: Problem, even: bool, guess: Unknowns, units: Unknowns) -> tuple[Unknowns, Unknowns]:
+def _bounds(problem: Problem, flow: Flow, guess: Unknowns, units: Unknowns) -> tuple[Unknowns, Unknowns]:
     """Lowest and highest unknowns."""
-    n = problem.model.degrees_of_freedom
-    least = np.ones(n) if even else RANGES.far * units.nodes[0, :n]
+    n, turning = problem.model.degrees_of_freedom, 2 * np.pi / problem.guess.period
+    least = RANGES.far * units.nodes[0, :n] if flow.units else np.ones(n)
     coordinates = np.maximum(least, np.abs(guess.nodes[:, :n]).max(axis=0))
-    rates = np.resize(least, guess.nodes[0].size - n)
-    pace = max(float((np.abs(guess.nodes[:, n:]) / rates).max(initial=0.0)), 2 * np.pi / problem.guess.period)
-    reach = np.concatenate([RANGES.angle_range * coordinates, RANGES.rate_range * pace * rates])
+    rate = max(float(np.abs(guess.nodes[:, n:]).max(initial=0.0)), turning * float(least.max()))
+    reach = np.concatenate(
+        [RANGES.angle_range * coordinates, np.full(guess.nodes[0].size - n, RANGES.rate_range * rate)]
+    )
     unfolding = RANGES.unfolding_range * units.unfolding
     spread = 0.95 * np.abs(guess.free) + (guess.free == 0)
     times = problem.bounds.get("period", (guess.period / RANGES.period_range, guess.period * RANGES.period_range))

@@ -232,15 +232,14 @@ def unless_one(units: np.ndarray) -> tuple[float, ...]:
     return () if np.all(units == 1.0) else tuple(map(float, units))
 
 
-def units_of(model: Model, states: np.ndarray, period: float, exact: bool = False) -> tuple[float, ...]:
-    """What a state (2n) is integrated in: powers of 256 near the lengths and the time of a motion (k x 2n), of 2 where
-    there are no angles; () is 1. `exact`: these lengths and this time themselves, where there are no angles.
+def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ...]:
+    """What a state (2n) is integrated in: powers of 256 near the lengths and the time of a motion (k x 2n); () is 1.
 
     Lengths are max(|q|, |v| tau), tau = T / 2 pi, the largest over all angles and over all others, or |a| tau^2 where
     that is 0.
     """
     clock, n = period / (2 * np.pi), model.degrees_of_freedom
-    if model.constraint is not None and not exact:  # integrated by IDAS
+    if model.constraint is not None:  # integrated by IDAS
         return ()
     largest = np.abs(states).max(axis=0)
     if model.rates is not None:
@@ -248,16 +247,15 @@ def units_of(model: Model, states: np.ndarray, period: float, exact: bool = Fals
         return unless_one(snapped(alone(sizes, model.angular, 1.0, acting_in(model, states))))
     parts, turning = proportions(model, states[0]), model.angular
     amplitudes = np.maximum(largest[:n], largest[n:] * clock) / parts
-    if not exact and turning.all() and 1 / ALIKE < clock < ALIKE and 1 / ALIKE < amplitudes.max() < ALIKE:
+    if turning.all() and 1 / ALIKE < clock < ALIKE and 1 / ALIKE < amplitudes.max() < ALIKE:
         return ()  # as below, in a third of the time
     for group in (turning, ~turning):
         size = amplitudes[group].max(initial=0.0)
         if group.any() and not size > 0:
             size = (np.abs(_pushed(model, states[0], n)) * clock**2 / parts)[group].max()
         amplitudes[group] = size
-    whole = np.concatenate([amplitudes * parts, [clock]])
-    *sizes, clock = whole if exact else snapped(whole, ALIKE**2 if turning.any() else 2.0)
-    return unless_one(np.concatenate([sizes, np.asarray(sizes) / clock]))
+    amplitudes = snapped(amplitudes * parts)
+    return unless_one(np.concatenate([amplitudes, amplitudes / snapped(clock)]))
 
 
 def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
