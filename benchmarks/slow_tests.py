@@ -81,7 +81,7 @@ def read(printed: str) -> dict[str, Any]:
     name, longest = spent.most_common(1)[0] if spent else ("", 0.0)
     last = re.findall(r"^=*\s*((?:\d+ \w+,? ?)+) in ", printed, re.MULTILINE)
     result = re.sub(r",? *\d+ (deselected|warnings?)", "", last[-1]).strip(", ") if last else "no summary"
-    passed = bool(last) and not re.search("failed|error", result)
+    passed = bool(last) and not re.search(r"\bfailed|error", result)
     return {
         "seconds": round(sum(spent.values())), "longest": f"{name} {longest:.0f} s", "result": result, "passed": passed
     }  # fmt: skip

@@ -93,6 +93,8 @@ def matched(first: Roots, second: Roots, length: float) -> tuple[Roots, bool]:
     moved += first.apart(first.values[:, None] - second.values) + np.add.outer(first.errors, second.errors)
     alike = np.minimum(np.abs(first.vectors.conj().T @ second.vectors), 1.0)
     cost = missed / nonzero(moved) + 1.0 - alike
+    if not np.isfinite(cost).all():
+        raise ConvergenceError("the eigenvalues of a step are not finite")
     order = linear_sum_assignment(cost)[1]
     cost, second = cost[:, order], second.chosen(order)
     own, exchanged = np.diag(cost), cost + cost.T

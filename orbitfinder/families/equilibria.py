@@ -34,6 +34,7 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, Judge
 from orbitfinder.families.rest_problem import (
+    ROUND_OFF,
     AtRest,
     Stacked,
     error_bars,
@@ -288,8 +289,8 @@ class Way:
             except (ConvergenceError, np.linalg.LinAlgError):
                 continue
             there, value, more = extended.parts(w)
-            if form == "branch_point" and abs(more[0]) > PERFECT * bars[extended.count]:
-                continue  # two curves that pass each other
+            if form == "branch_point" and abs(more[0]) > PERFECT * max(bars[extended.count], ROUND_OFF):
+                continue  # two curves that pass each other; rows are solved to round-off, also where all terms are 0
             gaps = np.append((there - z) / problem.z_sizes, (value - p) / problem.p_sizes)
             solutions.append((float(np.abs(gaps).max() + bars[-1] / problem.p_sizes[0]), form, extended, w, bars))
         if not solutions:
