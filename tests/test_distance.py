@@ -38,6 +38,14 @@ def test_a_slow_state_counts(rate, off):
     assert off or certificate.passed
 
 
+@pytest.mark.parametrize("rate", ["1e-15", "1e-17"])
+def test_a_state_that_no_digits_determine_is_not_certified(rate):
+    """Its multiplier is 1 to round-off, and nothing that the equations keep says where it belongs."""
+    model = beside({"z": f"-({rate})*(z-1)"})
+    certificate = certify(flat(model, [*CYCLE, 1.0007], PERIOD), model)
+    assert "distance" in certificate.failures and check(certificate, "distance").value == np.inf
+
+
 @pytest.mark.parametrize("rate", ["1e-2", "1e-8", "1e-11"])
 def test_slow_states_that_feel_each_other_count(rate):
     """A slow pair whose gaps nearly cancel: a' = k (b - a), b' = k (a - b) - k (a + b - 2) / 1000."""

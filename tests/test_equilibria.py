@@ -353,3 +353,14 @@ def test_other_equilibria_leave_at_branch_points(tmp_path):
     assert max(abs(point.state[0] - point.value) for point in other.points) < 1e-13
     with pytest.raises(InputError, match="state: missing; give follow_equilibria"):
         of.follow_equilibria(crossing)
+
+
+@pytest.mark.parametrize("fish", [0.2, 0.41])
+def test_a_crossing_where_all_terms_are_zero_is_a_branch_point(fish):
+    """q = 3 f (1 - f) / (1 - exp(-5 f)) meets f = 0 at q = 3 / 5, where every term of the rates vanishes."""
+    q = 3 * fish * (1 - fish) / -np.expm1(-5 * fish)
+    rates = {"f": "3*f*(1-f) - f*s - q*(1-exp(-5*f))", "s": "3*f*s - s"}
+    found = of.follow_equilibria(of.equations(rates=rates, parameters={"q": q}), [fish, 0.0], "q", until=0.3)
+    last = found.events[-1]
+    assert last.kind == "branch_point" and abs(last.parameter - 0.6) < 1e-12
+    assert "fold" not in [event.kind for event in found.events if abs(event.parameter - 0.6) < 0.1]
