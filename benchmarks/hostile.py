@@ -446,6 +446,8 @@ def work():
     sys.stdout = sys.stderr
     with contextlib.suppress(ValueError):
         resource.setrlimit(resource.RLIMIT_AS, (8_000_000_000, 8_000_000_000))
+    import matplotlib.figure  # noqa: F401  what a limit interrupts while it is imported stays half imported
+
     import orbitfinder.cli.group  # noqa: F401
     from orbitfinder._runtime.guard import guarded
 

@@ -6,6 +6,8 @@ accounts for, and events on either side of it that are nearer to each other than
 lists; they may be no more than one in fifty.
 """
 
+import json
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,8 +15,10 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import orbitfinder as of
+from orbitfinder.cli.group import cli
 from orbitfinder.continuation.tests import Entries, Roots, crossings, matched
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.rest_certificate import verified
@@ -178,6 +182,7 @@ def kinds(found):
 
 def balanced(found):
     """Unstable eigenvalues before and after each stretch with events differ as these say."""
+    assert not found.unknown
     number = [int(np.count_nonzero(point.eigenvalues.real > 0)) for point in found.points]
     for k, (a, b) in enumerate(pairwise(number)):
         steps = [2 if kind == "hopf" else 1 for kind, event in kinds(found) if event.index == k]
@@ -391,3 +396,24 @@ def test_two_pairs_at_once():
         (pytest.approx(1.0), "degenerate"), (pytest.approx(2.0), "supercritical"),
     ]  # fmt: skip
     assert verified(found, model).passed
+
+
+def test_what_no_event_explains_is_said(tmp_path):
+    """Two equal oscillators: a double pair crosses, where no Hopf point is isolated; also two equal pitchforks."""
+    file = DATA / "two-equal-oscillators.toml"
+    asked = ["equilibria", str(file), "--parameter", "p", "--until", "0.6", "--out", str(tmp_path), "--json"]
+    result = CliRunner().invoke(cli, asked)
+    document = json.loads(result.stdout)
+    assert result.exit_code == 1 and document["events"] == []
+    said = r"unknown: the number of growing eigenvalues is 0 at p [\d.]+ and 4 at [\d.]+, .* would part"
+    assert re.fullmatch(said, document["unknown"][0])
+
+    def rates(_, s, p):
+        return [p[0] * s[k] - s[k] ** 3 for k in range(2)]
+
+    model = of.ode(rates, ["x", "y"], parameters={"p": -0.1})
+    assert len(of.follow_equilibria(model, [0.0] * 2, "p", until=0.1).unknown) == 1
+    apart = two_pairs(1e-3, 1.0, 1.0, 0.45)
+    assert of.follow_equilibria(apart, [0.0] * 4, "p", until=0.55).unknown == ()
+    doctored = of.follow_equilibria(apart, [0.0] * 4, "p", until=0.55)
+    assert len(replace(doctored, events=doctored.events[1:]).unknown) == 1

@@ -35,10 +35,11 @@ def equilibria(
 ) -> None:  # fmt: skip
     """Follow the equilibria of the system of a problem FILE, with folds, branch points and Hopf points.
 
-    From the equilibrium near the state of its [guess] or [simulate], or where a simulation from there comes to rest; or
-    from all that are met in a box (--box), which proves no completeness, the second curve as NAME-2. Each is certified
-    by differences of the rates, each event by the flow. Exit code 0: all certified and --until reached. A run that was
-    killed goes on where it stopped when the same command is given again.
+    From the equilibrium near the state of its [guess] or [simulate], or where a simulation from there comes to rest;
+    or from all that are met in a box (--box), which proves no completeness, the second curve as NAME-2. Each is
+    certified by differences of the rates, each event by the flow. Exit code 0: all certified, each change of
+    stability explained, and --until reached. A run that was killed goes on where it stopped when the same command is
+    given again.
 
     \b
     Examples:
@@ -123,6 +124,8 @@ def followed_rest(
     from orbitfinder.mechanics.scales import lasting, measured
 
     text(f"{written[0]}: {len(curve.points)} equilibria, {sure} certified; {curve.ends[-1].reason}")
+    for line in curve.unknown:
+        text(f"  {line}")
     for k, event in enumerate(curve.events):
         place = measured(event.parameter, parameter, curve.system, 12)
         line = f"  {k} {event.words} at {parameter} = {place} +- {event.error:.1g}"
@@ -138,6 +141,7 @@ def followed_rest(
     if leaving := [k for k, event in enumerate(curve.events) if event.direction.size]:
         next_step("continue", written[0], "--switch", leaving[0])
     document = {"name": folder.name, "parameter": parameter, "points": len(curve.points), "certified": sure,
-                "events": curve.events, "ends": curve.ends, "written": written}  # fmt: skip
+                "events": curve.events, "unknown": curve.unknown, "ends": curve.ends, "written": written}  # fmt: skip
     arrived = until is None or until in (curve.points[0].value, curve.points[-1].value)
-    return curve, document, arrived and sure == len(curve.points) and true == len(curve.events)
+    whole = sure == len(curve.points) and true == len(curve.events) and not curve.unknown
+    return curve, document, arrived and whole

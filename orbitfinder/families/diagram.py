@@ -137,9 +137,8 @@ class BifurcationDiagram(Tabled):
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Where the stability of cycles changes and no event says how, a sentence each."""
-        cycles = [curve for curve in self.curves if isinstance(curve.record, Family)]
-        return tuple(f"{curve.file}, {sentence}" for curve in cycles for sentence in curve.record.unknown)
+        """Where the stability changes and no event says how, a sentence each."""
+        return tuple(f"{curve.file}, {sentence}" for curve in self.curves for sentence in curve.record.unknown)
 
     @property
     def remarks(self) -> tuple[str, ...]:

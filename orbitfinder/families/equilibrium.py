@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -173,6 +174,24 @@ class Equilibria(Tabled):
         """Of a curve in two parameters: their values (k x 2) at the points and then at the events."""
         return np.array([*(point.values for point in self.points), *(event.values for event in self.events)])
 
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Between which points the number of growing eigenvalues changes as no event there explains, in sentences."""
+        counts = [(k, point, growing(point)) for k, point in enumerate(self.points) if point.stability != "neutral"]
+        changes, sentences = {"fold": (-1, 1), "branch_point": (-1, 0, 1), "hopf": (-2, 2)}, list[str]()
+        for (i, before, (least, most)), (j, after, (fewest, greatest)) in pairwise(counts):
+            reached = {0}
+            for event in self.events:
+                if i <= event.index < j:
+                    reached = {more + change for more in reached for change in changes.get(event.kind, (0,))}
+            if not self.curve and not any(fewest - most <= change <= greatest - least for change in reached):
+                sentences.append(
+                    f"unknown: the number of growing eigenvalues is {least} at {self.parameter} {before.value:.12g} "
+                    f"and {fewest} at {after.value:.12g}, and the events found between do not explain it: several may "
+                    "cross together, which another parameter would part"
+                )
+        return tuple(sentences)
+
     def _check(self) -> None:
         if len({(point.state.shape, point.eigenvalues.shape) for point in self.points}) != 1:
             raise ValueError("points: expected one at least, all of one number of components and eigenvalues")
@@ -189,8 +208,16 @@ class Equilibria(Tabled):
                 raise ValueError(f"{where}: parameter, value or state is beyond 1e+100")
 
 
-EQUILIBRIA = "equilibria"
-"""Their format"""
+def growing(point: Equilibrium) -> tuple[int, int]:
+    """How many eigenvalues have positive real parts, at least and at most."""
+    if point.stability == "stable":
+        return 0, 0
+    real, unsure = point.eigenvalues.real, UNDECIDED * float(np.abs(point.eigenvalues).max(initial=0.0))
+    return max(1, int((real > unsure).sum())), int((real > -unsure).sum())
+
+
+EQUILIBRIA, UNDECIDED = "equilibria", 1e-9
+"""Their format; a real part below this share of the largest may have either sign, and was 0 in older files"""
 CODEC = Codec(Equilibria, EQUILIBRIA, "`orbitfinder equilibria`", "compute the equilibria again")
 
 

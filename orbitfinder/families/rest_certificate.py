@@ -15,7 +15,7 @@ from scipy.linalg.lapack import dgeev
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.continuation.tests import Roots, decomposed, felt
-from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
+from orbitfinder.families.equilibrium import UNDECIDED, Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.rest_problem import ROUND_OFF, AtRest, state_sizes
 from orbitfinder.integrate.dop853 import SECOND, integrate_in
 from orbitfinder.integrate.equations import hamilton
@@ -26,9 +26,8 @@ from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, at_most, equal
 
-NOISE, DIFFERED, EARLIER = 1e-14, 1e-9, 1e-9
-"""Components so small are 0; what slopes by differences are known to; real parts that are this share of the largest
-eigenvalue were 0 in files of earlier versions"""
+NOISE, DIFFERED = 1e-14, 1e-9
+"""Components so small are 0; what slopes by differences are known to"""
 RESIDUAL, SLOPES, CRITICAL = 1e-12, 1e-7, 1e-8
 """What may be left of the rates, of the eigenvalues by differences and of a critical one by the flow, in the pace of
 the equilibrium and its sizes"""
@@ -127,7 +126,7 @@ class Judge:
         verdict = stability(values[chosen], bars)
         if verdict == "neutral":
             return point.stability in (verdict, stability(claimed, ROUND_OFF * felt(abs(left), size, abs(right))))
-        earlier = point.stability == "neutral" and claimed.real.max() <= EARLIER
+        earlier = point.stability == "neutral" and claimed.real.max() <= UNDECIDED
         return earlier or point.stability == verdict
 
     def flow(
