@@ -476,6 +476,18 @@ def test_an_edited_record_is_refused_by_name(kind, verb, tmp_path):
         assert made[0] == 2 and name in made[1] and ";" in made[1], (place, made)
 
 
+@pytest.mark.parametrize("change", [{"repeats": np.array([[99999999], [0]])}, {"values": np.array([[0.3], [0.4]])}])
+def test_numbers_of_a_diagram_are_of_its_size(change, tmp_path):
+    document = json.loads((SAMPLES / "bifurcation.json").read_text())
+    document.pop("record", None), document.pop("dense", None)
+    (tmp_path / "bifurcation.json").write_text(json.dumps(document))
+    with np.load(SAMPLES / "bifurcation.npz") as data:
+        members = dict(data)
+    (tmp_path / "bifurcation.npz").write_bytes(npz(**members | change))
+    made = hostile.done("command", "bifurcation", ["verify", str(tmp_path / "bifurcation.json")])
+    assert made[0] == 2 and next(iter(change)) in made[1] and ";" in made[1], made
+
+
 def test_dense_numbers_have_finite_squares(tmp_path):
     for name in ("orbit", "map", "section"):
         shutil.copy(SAMPLES / f"{name}.json", tmp_path)

@@ -47,8 +47,8 @@ SMOOTHING, POLISH = (
     Settings(floor=1e-13, round_off=1e-13, converged=1e-10, most_evaluations=8),
 )
 GAVE_UP = "iteration limit", "hopeless start"
-LOST, NARROWEST = "the state is not finite", 1e-13
-"""What a Failure says; length along the valley between which a zero is known well enough"""
+LOST, NARROWEST, ISOLATED = "the state is not finite", 1e-13, 1e-11
+"""What a Failure says; length along the valley between which a zero is known well enough; what w is known to"""
 REGULAR = Settings(floor=0.0, converged=0.0, round_off=0.0, most_evaluations=6, patience=0, progress=1.0)
 
 
@@ -499,7 +499,9 @@ def polished(scaled: ScaledLoop, w: Unknowns, jacobian: np.ndarray) -> Course[Un
     near = yield from chords(w, rows(w, (yield Marched(equations, w))), solver(jacobian), how.smoothing)
     ends, mesh = yield from confirmed(scaled, near.w)
     w = replace(near.w, mesh=mesh)
-    solved = yield from chords(w, rows(w, ends), near.solver, how.polish)
+    least = float(np.linalg.svd(jacobian, compute_uv=False)[-1])  # near a bifurcation a residual says less of w
+    polish = replace(how.polish, floor=min(how.polish.floor, ISOLATED * least))
+    solved = yield from chords(w, rows(w, ends), near.solver, polish)
     if not solved.converged:
         raise Stalled(solved.w)
     return solved.w

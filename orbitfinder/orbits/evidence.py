@@ -555,7 +555,7 @@ def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
             (first, last), pieces = symmetry.rows(n), in_extents(pieces, units)
             constant = symmetry.constants(model.angular, path[0], path[-1], motion.turns)
             sizes = ((np.abs(first) + np.abs(last)) * units).max(axis=1)[:, None]
-            late = carried(pieces, np.ones(units.size))[0] @ again.rate / units * period / symmetry.parts
+            late = carried(pieces, np.ones(units.size))[0] @ (again.rate / units) * period / symmetry.parts
             missed = (first @ path[0] + last @ path[-1] - constant) / sizes[:, 0]
             asked = first * units / sizes, last * units / sizes
             least = min(least, distance(missed, asked, pieces, path / units, late)[0])

@@ -141,14 +141,16 @@ class Bifurcation(Tabled):
     def _check(self) -> None:
         n, d, motions = self.times.size, len(self.state_names), self.starts.size // max(1, len(self.state_names))
         runs = motions * (1 + (self.sweep == "both"))
-        check_shapes(self, states=(n, d), times=(n,), owners=(n, 2), repeats=(self.values.size, runs),
-                     starts=(motions, d))  # fmt: skip
+        check_shapes(self, states=(n, d), times=(n,), owners=(n, 2), values=(self.values.size,),
+                     repeats=(self.values.size, runs), starts=(motions, d))  # fmt: skip
         if self.coordinate not in self.state_names or self.sweep not in SWEEPS or not self.values.size or not runs:
             raise ValueError(f"coordinate, sweep: {self.coordinate!r}, {self.sweep!r} are not of this record")
         if not all(np.issubdtype(getattr(self, name).dtype, np.integer) for name in ("owners", "repeats")):
             raise ValueError("owners, repeats: expected whole numbers")
         if n and (self.owners.min() < 0 or np.any(self.owners.max(axis=0) >= self.repeats.shape)):
             raise ValueError("owners: expected numbers of values and motions")
+        if not 0 <= self.repeats.min() <= self.repeats.max() <= max(0, self.count // 2):
+            raise ValueError(f"repeats: expected whole numbers up to half of the count, {self.count // 2}")
 
 
 CODEC = Codec(Bifurcation, "bifurcation", "`orbitfinder bifurcation`", "make the diagram again")
