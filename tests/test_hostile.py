@@ -445,10 +445,13 @@ EDITS = {
     ("equilibria", "show"): {"events.0.state": [], "points.0.state.0": 1e308, "events.0.parameter": 1e308,
                              "curve": {"parameters": 3.0}},
     ("equilibria", "csv"): {"events.0.state.0": None, "curve": {"parameters": ["a", "b"]}},
-    ("family", "show"): {"curve.cycles": None, "curve.method": [], "curve.watch": 3.0, "curve.test": 1.0},
+    ("family", "show"): {"curve.cycles": None, "curve.method": [], "curve.watch": 3.0, "curve.test": 1.0,
+                         "points.3.free": {}},
     ("family", "csv"): {"curve.test": {"parameters": 3.0}, "curve.free": 1.0},
     ("tori", "show"): {"parameter": "x", "tori.0.curve.0.0": 1e308, "held": {"y": 1.0}},
-    ("manifold", "plot"): {"axes": ["x", "q"], "state_names": ["y", "x", "z", "px", "py", "pz"]},
+    ("phase-response", "plot"): {"winding": [0, 0, 0]},
+    ("manifold", "plot"): {"which": "../../etc/passwd", "axes": ["x", "q"],
+                           "state_names": ["y", "x", "z", "px", "py", "pz"]},
     ("map", "show"): {"parameters": ["w"], "curve.cycles": 0},
     ("connection-proof", "show"): {"origin.frame.0": [1.0]},
     ("controller", "csv"): {"multipliers": [], "actuators": ["a b"]},
@@ -476,15 +479,17 @@ def test_an_edited_record_is_refused_by_name(kind, verb, tmp_path):
         assert made[0] == 2 and name in made[1] and ";" in made[1], (place, made)
 
 
-@pytest.mark.parametrize("change", [{"repeats": np.array([[99999999], [0]])}, {"values": np.array([[0.3], [0.4]])}])
-def test_numbers_of_a_diagram_are_of_its_size(change, tmp_path):
-    document = json.loads((SAMPLES / "bifurcation.json").read_text())
+@pytest.mark.parametrize(("kind", "change"), [
+    ("bifurcation", {"repeats": np.array([[99999999], [0]])}), ("bifurcation", {"values": np.array([[0.3], [0.4]])}),
+    ("map", {"sample": np.array([[1.0, 0.0, 1.0]])}),
+])  # fmt: skip
+def test_dense_numbers_are_of_their_kind_and_size(kind, change, tmp_path):
+    document = json.loads((SAMPLES / f"{kind}.json").read_text())
     document.pop("record", None), document.pop("dense", None)
-    (tmp_path / "bifurcation.json").write_text(json.dumps(document))
-    with np.load(SAMPLES / "bifurcation.npz") as data:
-        members = dict(data)
-    (tmp_path / "bifurcation.npz").write_bytes(npz(**members | change))
-    made = hostile.done("command", "bifurcation", ["verify", str(tmp_path / "bifurcation.json")])
+    (tmp_path / f"{kind}.json").write_text(json.dumps(document))
+    with np.load(SAMPLES / f"{kind}.npz") as data:
+        (tmp_path / f"{kind}.npz").write_bytes(npz(**dict(data) | change))
+    made = hostile.done("command", kind, ["verify", str(tmp_path / f"{kind}.json")])
     assert made[0] == 2 and next(iter(change)) in made[1] and ";" in made[1], made
 
 

@@ -147,16 +147,16 @@ class ParameterMap(Tabled):
             raise ValueError("columns, rows, nodes: expected increasing values of the parameters, and orbits there")
         if self.by not in COLOURED:
             raise ValueError(f"by: {self.by!r} is none of {', '.join(COLOURED)}")
-        whole = {"blank": len(BLANK), "verdicts": len(STABILITIES)}
-        for name, most in whole.items():
+        for name, most in {"blank": len(BLANK), "verdicts": len(STABILITIES)}.items():
             if (
                 not np.issubdtype(getattr(self, name).dtype, np.integer)
                 or not np.isin(getattr(self, name), np.arange(most)).all()
             ):
                 raise ValueError(f"{name}: expected whole numbers from 0 to {most - 1}")
         rows, columns = (self.sample[:, k] for k in (0, 1))
-        if not (np.isin(rows, np.arange(shape[0])) & np.isin(columns, np.arange(shape[1]))).all():
-            raise ValueError("sample: expected rows and columns of the map")
+        whole = np.issubdtype(self.sample.dtype, np.integer) or not self.sample.size
+        if not whole or not (np.isin(rows, np.arange(shape[0])) & np.isin(columns, np.arange(shape[1]))).all():
+            raise ValueError("sample: expected whole numbers, rows and columns of the map")
 
 
 CODEC = Codec(ParameterMap, "map", "`orbitfinder map`", "make the map again")

@@ -192,6 +192,8 @@ def shift_at(curve: Curve, place: Unknowns) -> dict[str, float]:
 def unknowns_of(curve: Curve, member: FamilyPoint | Event) -> Unknowns:
     """The shooting unknowns that a stored point or event stands for."""
     free = np.array(list(member.free.values()))
+    if free.size != curve.equations.march.free:
+        raise InputError(f"free: {free.size} numbers where {curve.equations.march.free} belong; {AGAIN}")
     w = curve.equations.unknowns(member.shooting_nodes, member.period, member.mesh, free)
     if not isinstance(member, FamilyPoint):
         return w

@@ -341,6 +341,8 @@ class Family(Tabled):
         members: tuple[FamilyPoint | Event, ...] = (*self.points, *self.events)
         if len({member.state.size for member in members}) > 1:
             raise ValueError("state: not of one size in all points and events")
+        if len({tuple(member.free) for member in members}) > 1:
+            raise ValueError("free: not of the same parameters in all points and events")
 
     @property
     def unknown(self) -> tuple[str, ...]:

@@ -34,6 +34,10 @@ def reach(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return low, high
 
 
+WHICH = {"unstable": 1, "stable": -1}
+"""Manifolds, and the way of time in which motions on them leave"""
+
+
 @dataclass(frozen=True)
 class Manifold(Shown):
     """A stable or unstable manifold of an orbit: curves on a section, or motions along it (a tube).
@@ -88,6 +92,8 @@ class Manifold(Shown):
 
     def _check(self) -> None:
         check_axes(self)
+        if self.which not in WHICH:
+            raise ValueError(f"which: must be unstable or stable, got {self.which!r}")
         count, d = self.pieces.size, len(self.state_names)
         check_shapes(self, states=(count, d), point=(d,), direction=(d,),
                      **dict.fromkeys(("pieces", "places", "images", "times"), (max(count, 1),)))  # fmt: skip

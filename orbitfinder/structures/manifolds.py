@@ -38,10 +38,8 @@ from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.floquet import complement, generated
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.structures.crossings import FINE, SEEN, Crossings, Passing, Plane
-from orbitfinder.structures.manifold import Manifold, reach
+from orbitfinder.structures.manifold import WHICH, Manifold, reach
 from orbitfinder.structures.sections import Surface, levels_at, nodes_of, pierced, surface
-
-WHICH = {"unstable": 1, "stable": -1}
 
 
 @dataclass(frozen=True)

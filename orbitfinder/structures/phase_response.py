@@ -98,6 +98,8 @@ class PhaseResponse(Shown):
     def _check(self) -> None:
         count = self.times.size
         fit = self.states.shape == self.response.shape == (count, self.states.size // max(1, count))
+        if fit and len(self.winding) > self.states.shape[1]:
+            raise ValueError(f"winding: {len(self.winding)} numbers of states with {self.states.shape[1]}")
         if not fit or self.times[0] != 0 or not np.all(np.diff(self.times, append=self.period) > 0):
             raise ValueError("times: expected as many as states and rows of the response, from 0 to before the period")
 
