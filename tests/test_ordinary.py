@@ -93,7 +93,7 @@ def test_a_branch_has_a_title_of_its_own():
     """A halo family is not headed "Planar Lyapunov orbit": it says which event of which family it comes from."""
     family = load_family(FAMILY)
     start = type("Start", (), {"curve": type("Curve", (), {"test": None})})()
-    for number, words in ((5, "From event 5 of: Planar"), ("end", "From end of: Planar")):
+    for number, words in ((5, "Planar, branch at event 5"), ("end", "Planar, branch at end")):
         branch = Branch(start, family.name, family.events[5], number, 1, "triple-1-5-1", "Planar")
         assert _request(branch, FamilySettings(), (), {})[1]["title"] == words
     untitled = Branch(start, family.name, family.events[5], 5, 1, "triple-1-5-1")

@@ -361,7 +361,7 @@ def _request(
         source["title"] = title
     if isinstance(origin, Branch):
         if title:  # which is that of the family, or of the equilibria, that it leaves
-            source["title"] = f"From {'event ' * isinstance(origin.number, int)}{origin.number} of: {title}"
+            source["title"] = f"{title}, branch at {'event ' * isinstance(origin.number, int)}{origin.number}"
         head, kind = origin.described(), "branch"
         source = source | head
         del source["name"]
