@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_certificate_holes import check, flat
+from test_certificate_holes import check, flat, record
 
 import orbitfinder as of
 from orbitfinder.errors import ConvergenceError
@@ -161,3 +161,11 @@ def test_a_slow_bursters_round_off_is_not_a_feature():
     """h moves by 3e-5 of itself: steps are as exact as that lets them be."""
     orbit = of.find_orbit(of.load_problem(ROOT / "tests" / "data" / "slow-burst.toml"))
     assert orbit.period == pytest.approx(9738.30923, abs=1e-5) and orbit.certificate.passed
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-3])
+def test_what_stands_still_is_measured_in_its_own_size(off):
+    """A conical pendulum, whose angle from the vertical stays: where it passes a mirror is looked for all the same."""
+    model, rate = of.systems.spherical_pendulum(), np.sqrt(9.8 / np.cos(0.6))
+    orbit = record(model, [0.6, 0.0, 0.0, rate], 2 * np.pi / rate * (1 + off), winding=(0, 1))
+    assert check(certify(orbit, model), "distance").passed == (off == 0.0)

@@ -564,7 +564,9 @@ def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
 
 def _centred(begin: Involution, motion: Motion, field: VectorField, angles: np.ndarray) -> np.ndarray:
     """The state (d) of a motion where it is nearest to the fixed set of an involution."""
-    states, size, step = motion.states, nonzero(np.ptp(motion.states, axis=0)), KNOWN * float(motion.times[-1])
+    states, step = motion.states, KNOWN * float(motion.times[-1])
+    size = np.maximum(np.ptp(states, axis=0), KNOWN * np.abs(states).max(axis=0))
+    size = np.where(size > 0.0, size, 1.0)
     k = int(np.abs(off_centre(begin, states[1:], angles)).max(axis=1).argmin())
     x, since = states[k + 1], float(motion.times[k + 1] - motion.times[k])
     for _ in range(5):
