@@ -450,6 +450,7 @@ EDITS = {
     ("family", "csv"): {"curve.test": {"parameters": 3.0}, "curve.free": 1.0},
     ("tori", "show"): {"parameter": "x", "tori.0.curve.0.0": 1e308, "held": {"y": 1.0}},
     ("phase-response", "plot"): {"winding": [0, 0, 0]},
+    ("diagram", "plot"): {"coordinate": "orbitfinder/diagram"},
     ("manifold", "plot"): {"which": "../../etc/passwd", "axes": ["x", "q"],
                            "state_names": ["y", "x", "z", "px", "py", "pz"]},
     ("map", "show"): {"parameters": ["w"], "curve.cycles": 0},
@@ -472,6 +473,8 @@ def test_an_edited_record_is_refused_by_name(kind, verb, tmp_path):
         path.write_text(json.dumps(document))
         if (SAMPLES / f"{kind}.npz").exists():
             shutil.copy(SAMPLES / f"{kind}.npz", tmp_path)
+        for folder in SAMPLES.glob("equilibria*/") if kind == "diagram" else ():
+            shutil.copytree(folder, tmp_path / folder.name)
         made = hostile.done(
             "command", kind, [*hostile.VERBS[verb], str(path), *["--out", str(tmp_path / "o")] * (verb != "show")]
         )
@@ -481,7 +484,8 @@ def test_an_edited_record_is_refused_by_name(kind, verb, tmp_path):
 
 @pytest.mark.parametrize(("kind", "change"), [
     ("bifurcation", {"repeats": np.array([[99999999], [0]])}), ("bifurcation", {"values": np.array([[0.3], [0.4]])}),
-    ("map", {"sample": np.array([[1.0, 0.0, 1.0]])}),
+    ("map", {"sample": np.array([[1.0, 0.0, 1.0]])}), ("map", {"mesh": np.array([0.0, 1.0])}),
+    ("section", {"starts": np.array(1.0)}),
 ])  # fmt: skip
 def test_dense_numbers_are_of_their_kind_and_size(kind, change, tmp_path):
     document = json.loads((SAMPLES / f"{kind}.json").read_text())
@@ -489,7 +493,7 @@ def test_dense_numbers_are_of_their_kind_and_size(kind, change, tmp_path):
     (tmp_path / f"{kind}.json").write_text(json.dumps(document))
     with np.load(SAMPLES / f"{kind}.npz") as data:
         (tmp_path / f"{kind}.npz").write_bytes(npz(**dict(data) | change))
-    made = hostile.done("command", kind, ["verify", str(tmp_path / f"{kind}.json")])
+    made = hostile.done("command", kind, ["show" if kind == "section" else "verify", str(tmp_path / f"{kind}.json")])
     assert made[0] == 2 and next(iter(change)) in made[1] and ";" in made[1], made
 
 

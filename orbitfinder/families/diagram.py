@@ -329,16 +329,12 @@ def diagram(
         >>> [(fork.became, fork.leads) for fork in tree.branchings]
         [('followed', ('equilibria-0/family.json',))]
     """
-    names = (*model.state_names[: model.degrees_of_freedom], NORM)
-    if coordinate is not None and coordinate not in names:
-        raise InputError(f"coordinate: unknown {coordinate!r}{closest(coordinate, names)}; this system has "
-                         f"{', '.join(names[:20])}")  # fmt: skip
+    coordinate = model.state_names[0] if coordinate is None else coordinate
+    drawn(coordinate, model)
     if depth < 0:
         raise InputError(f"depth: must be at least 0, got {depth}")
     first = dict(zip(model.parameter_names, map(float, model.parameter_values), strict=True)).get(parameter, until)
-    empty = BifurcationDiagram(
-        name, model.system, parameter, (first, until), depth, coordinate or names[0], (), title=title
-    )
+    empty = BifurcationDiagram(name, model.system, parameter, (first, until), depth, coordinate, (), title=title)
     if out is not None and (earlier := Path(out) / name / "diagram.json").exists():
         _refuse_less(earlier, empty)
     settings = FamilySettings(parameter=parameter, directions="away", points=points, longest_step=STEP, method=method)
@@ -360,6 +356,15 @@ def diagram(
                 raise
             tree.stopped = str(error)
     return tree.made()
+
+
+def drawn(coordinate: str, model: Model) -> int:
+    """The number of the coordinate that a diagram shows, behind all that of the norm. Raises `InputError`."""
+    names = (*model.state_names[: model.degrees_of_freedom], NORM)
+    if coordinate not in names:
+        raise InputError(f"coordinate: unknown {coordinate!r}{closest(coordinate, names)}; this system has "
+                         f"{', '.join(names[:20])}")  # fmt: skip
+    return names.index(coordinate)
 
 
 def _refuse_less(file: Path, asked: BifurcationDiagram) -> None:

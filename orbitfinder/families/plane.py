@@ -12,7 +12,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.codec import Codec, Dense, check_shapes
-from orbitfinder.records.family import check_curve
+from orbitfinder.records.family import check_curve, on_mesh
 from orbitfinder.records.table import Tabled, Tables, placed
 
 COLOURED, BLANK = ("stability", "multiplier", "amplitude", "period"), (
@@ -143,8 +143,10 @@ class ParameterMap(Tabled):
         check_shapes(self, **wanted)
         check_curve(self.curve)
         rising = [axis.size and np.all(np.diff(axis) > 0) for axis in (self.rows, self.columns)]
-        if not all(rising) or self.nodes.ndim < 4:
-            raise ValueError("columns, rows, nodes: expected increasing values of the parameters, and orbits there")
+        if not all(rising) or self.nodes.ndim < 4 or not on_mesh(self.nodes.shape[2] or 1, self.mesh):
+            raise ValueError(
+                "columns, rows, nodes, mesh: expected increasing values of the parameters, and orbits there"
+            )
         if self.by not in COLOURED:
             raise ValueError(f"by: {self.by!r} is none of {', '.join(COLOURED)}")
         for name, most in {"blank": len(BLANK), "verdicts": len(STABILITIES)}.items():

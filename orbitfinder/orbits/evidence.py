@@ -571,7 +571,8 @@ def _centred(begin: Involution, motion: Motion, field: VectorField, angles: np.n
     x, since = states[k + 1], float(motion.times[k + 1] - motion.times[k])
     for _ in range(5):
         off, after = off_centre(begin, np.array([x, x + step * field(0.0, x)]), angles)
-        since = max(since - step * float(off @ (after - off)) / nonzero(float((after - off) @ (after - off))), step)
+        nearer = since - step * float(off @ (after - off)) / nonzero(float((after - off) @ (after - off)))
+        since = min(max(nearer, step), float(motion.times[-1]))  # where nothing moves it is anywhere
         x = integrate_in(size, field, states[k], np.array([0.0, since]))[-1]
     return np.asarray(x)
 

@@ -81,9 +81,14 @@ def _check_place(member: Any) -> None:
         raise ValueError(f"state: {plural(size, 'number')}, period {member.period}: no orbit")
     if fault := incomputable(member.state, member.period):
         raise ValueError(fault)
-    rising = mesh.ndim == 1 and mesh.size > len(nodes) and bool(np.all(np.diff(mesh) > 0))
-    if nodes.size and (nodes.shape[1:] != (size,) or not rising or (mesh.size - 1) % len(nodes)):
+    if nodes.size and (nodes.shape[1:] != (size,) or not on_mesh(len(nodes), mesh)):
         raise ValueError("nodes: do not fit the state or the mesh")
+
+
+def on_mesh(count: int, mesh: np.ndarray) -> bool:
+    """Whether times grow, and so many nodes are at the starts of equal numbers of steps."""
+    rising = mesh.ndim == 1 and mesh.size > count and bool(np.all(np.diff(mesh) > 0))
+    return rising and (mesh.size - 1) % count == 0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.lines import Line2D
 
-from orbitfinder.families.diagram import NORM, BifurcationDiagram
+from orbitfinder.families.diagram import NORM, BifurcationDiagram, drawn
 from orbitfinder.families.entries import KINDS
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.members import extents, norms
@@ -137,7 +137,7 @@ class Panel:
 def save_diagram_figure(diagram: BifurcationDiagram, folder: str | Path, model: Model) -> list[Path]:
     """Write `diagram.png`: equilibria with the least and greatest values of cycles, and below their periods."""
     families = [curve for curve in diagram.curves if isinstance(curve.record, Family)]
-    number = (*model.state_names[: model.degrees_of_freedom], NORM).index(diagram.coordinate)
+    number = drawn(diagram.coordinate, model)
     norm = number == model.degrees_of_freedom
     counts = "\n".join(textwrap.wrap(diagram.counts, 80))
     figure = new_figure(8.0, 6.8 if families else 4.8, entitled(diagram), counts)

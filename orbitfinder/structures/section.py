@@ -110,7 +110,7 @@ class Section(Shown):
 
     def _check(self) -> None:
         check_axes(self)
-        count, motions, d = self.times.size, len(self.starts), len(self.state_names)
+        count, motions, d = self.times.size, len(np.atleast_1d(self.starts)), len(self.state_names)
         check_shapes(self, states=(count, d), times=(count,), seeds=(count,), starts=(motions, d),
                      growth=(count,) if self.growth.shape == (count,) else (motions,))  # fmt: skip
         if not motions or self.seeds.dtype.kind != "i" or not np.isin(self.seeds, np.arange(motions)).all():
