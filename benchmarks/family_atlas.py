@@ -67,7 +67,7 @@ triple orbit is on it, on the way down to the fold in energy.""", "triple-mode-2
           """A period-quadrupled branch of the third mode, odd in time instead of coming to rest. The report's second
 triple orbit, which swings like a single pendulum, is on it.""", "triple-mode-3"),
     mode("quadruple", 1, TOP, """The slow swing of the quadruple pendulum. Near 1 J above hanging it is in 7:1 resonance
-with the fourth mode, and the family from the equilibrium turns away there. Stepping over that place (which is reported)
+with the fourth mode, and the family from the equilibrium turns away there. Going straight over that avoided crossing
 leads to a closed family between -77.4508 and -39.9080 J, which is recognised when it comes back to itself."""),
     Entry("quadruple-mode-1-resolved", "problems/families/quadruple-mode-1.toml --direction forward --resolve 2e-4 "
           "--name quadruple-mode-1-resolved " + TOP, """The same start followed through the 7:1 resonance: the curve

@@ -325,6 +325,6 @@ def test_a_dip_between_two_orbits_is_found_in_few_looks(bottom, below):
 
 
 def test_what_an_event_itself_refutes_asks_no_orbit_beside_it():
-    """An avoided crossing that was stepped over is no collision, whatever the orbits about it are."""
-    with pytest.raises(Refuted, match="stepped over"):
-        check_collision(None, SimpleNamespace(detail="stepped over", order=1))
+    """What is a collision in something is none, whatever the orbits about it are."""
+    with pytest.raises(Refuted, match="do not meet"):
+        check_collision(None, SimpleNamespace(detail="energy", order=1))

@@ -266,7 +266,7 @@ def test_families_of_orbits_with_momentum(name, tmp_path):
     assert again.certificate.passed and again.period == pytest.approx(last.period, rel=1e-10)
 
 
-# ---- ends and avoided crossings -------------------------------------------------------------------------
+# ---- ends -------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -279,19 +279,6 @@ def test_closed_family_returns_to_its_start(tmp_path):
     assert all(one.energy > -77.46 for one in family.points)  # beyond the resonance
     levels = family.values("energy")
     assert levels.min() == pytest.approx(-77.4508241, abs=1e-3) and levels.max() == pytest.approx(-39.9079777, abs=1e-2)
-
-
-def test_avoided_crossing_is_reported_or_followed(tmp_path, caplog):
-    """No silent jump: stepped over, which the log says, or followed onto the resonant part of the family."""
-    over = follow_family(mode_problem(chain(4), 1), until=-77.2, out=tmp_path / "over")
-    assert "an avoided crossing stepped over" in caplog.text and {one.kind for one in over.events} <= {"resonance"}
-    caplog.clear()
-    finer = FamilySettings(narrowest=2e-4)
-    along = follow_family(mode_problem(chain(4), 1), until=-77.3, out=tmp_path / "along", settings=finer)
-    assert "avoided crossing" not in caplog.text and along.events
-    one, other = (min(f.points, key=lambda p: abs(p.energy + 77.3)) for f in (over, along))
-    # the second link: 0.165 on the backbone, less with fast links superposed seven times a period
-    assert other.state[0] / other.state[1] > 1.05 * one.state[0] / one.state[1]
 
 
 @pytest.mark.slow

@@ -60,7 +60,7 @@ class Switch(click.ParamType):  # type: ignore[type-arg]
 @option("curve", "Follow the event with this index in two parameters.", kind=(0,), metavar="EVENT")
 @option("parameters", "The two parameters of --curve.", metavar="A,B")
 @option("branch", "Which of the branches there.", 1, (1,))
-@option("resolve", "Follow avoided crossings this narrow instead of stepping over them.  [default: 0.2]",
+@option("resolve", "Follow avoided crossings as wide as this, and go straight over narrower ones.  [default: 0.1]",
         kind=click.FloatRange(1e-6, 0.5), metavar="ARCLENGTH")  # fmt: skip
 @option("method", "shooting, collocation (stiff) or balance (driven).  [default: as its orbit was found]",
         metavar="METHOD")  # fmt: skip

@@ -32,7 +32,7 @@ from orbitfinder.families.registry import KINDS
 from orbitfinder.integrate.dop853 import TIGHTEST, ReferenceSettings
 from orbitfinder.loops.condensed import CUTOFF
 from orbitfinder.loops.conditions import pinned
-from orbitfinder.loops.continued import CORRECTOR, Curve, Solution, crossed, plane
+from orbitfinder.loops.continued import CORRECTOR, Curve, Solution, avoided_crossing, crossed, plane
 from orbitfinder.loops.loop import ROUND_OFF
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import arcs, numbers, unsure
@@ -42,8 +42,9 @@ from orbitfinder.orbits.floquet import ERROR_FLOOR, analyse, judged
 from orbitfinder.orbits.hybrid import hybrid_tour, retraced
 from orbitfinder.records.family import BECOMES, CLOSURE, UNKNOWN, Event, Reading
 
-SHARP = 1e-5
-"""An event is this near to where its definition holds, in steps of the family"""
+SHARP, SAME_GAP = 1e-5, 1e-2
+"""An event is this near to where its definition holds, in steps of the family; an avoided crossing, whose place is that
+of a metric, in shares of its gap"""
 DOUBTFUL = 4e-5
 """... and what is read there is known this well"""
 DRAWS, SAFETY = 3, 10.0
@@ -437,8 +438,22 @@ def _meeting(look: Probe) -> float:
 def check_collision(sides: Sides, event: Event) -> Reading:
     """Two stability indices are one, real on one side and complex on the other."""
     if (event.detail, event.order) != ("", 1) or not sides.here.about.conservative:
-        raise Refuted(event.detail or "two stability indices do not meet there")
+        raise Refuted("two stability indices do not meet there")
     return sides.zero(_meeting)
+
+
+def check_avoided(sides: Sides, event: Event) -> Reading:
+    """Another family is nearest there, across a gap of the recorded width."""
+    gap = event.gap or 0.0
+    sides.here.tour  # noqa: B018
+    near = avoided_crossing(sides.here.curve, sides.here.solution, 2 * gap)
+    if near is None or not near.gap:
+        raise Refuted("no two families avoid each other there")
+    if abs(near.gap - gap) > SAME_GAP * near.gap:
+        raise Refuted(f"the gap is {near.gap:.6g}, recorded {gap:.6g}")
+    known = SAME_GAP * near.gap
+    read = sides.zero(lambda look: float(near.place(look.solution.place)[1]), within=known / sides.step)
+    return sides._barred(read, known)
 
 
 def check_stability(sides: Sides, event: Event) -> Reading:

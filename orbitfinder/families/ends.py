@@ -413,10 +413,9 @@ def returned(curve: Curve, before: Walked, after: Walked) -> End | None:
     What looks near, by numbers that do not depend on where t = 0 lies, is confirmed by an orbit of the family with the
     period and the parameters of the earlier one: it must be the same.
     """
-    scales, action = curve.scales, abs(before.solution.march.integral) or 1.0
     if len(before.portraits) <= MEETING.fewest:
         return None
-    units = np.concatenate([[scales.period], scales.free, [action], scales.states, scales.states])
+    units = _units(curve, before.solution)
     known, reached = before.portraits / units, after.portraits[-1] / units
     past, here, step = known[: 1 - MEETING.fewest], known[-1], reached - known[-1]
     square, ahead = float(step @ step), np.diff(known[: 2 - MEETING.fewest], axis=0)
@@ -435,9 +434,7 @@ def returned(curve: Curve, before: Walked, after: Walked) -> End | None:
 def passed_again(curve: Curve, before: Solution, after: Solution, past: np.ndarray) -> bool:
     """Whether the orbit between two of a step that has the period and the parameters of a past orbit's `portrait` is
     that past orbit."""
-    place, scales, count = before.place, curve.scales, 1 + before.place.free.size
-    size = abs(before.march.integral) or 1.0
-    units = np.concatenate([[scales.period], scales.free, [size], scales.states, scales.states])
+    place, count, units = before.place, 1 + before.place.free.size, _units(curve, before)
     here, there = (portrait(curve, solution) / units for solution in (before, after))
     step, off = there - here, past / units - here
     normal = np.concatenate([np.zeros(curve.equations.size), step[:count] / units[:count]])
@@ -448,6 +445,12 @@ def passed_again(curve: Curve, before: Solution, after: Solution, past: np.ndarr
         return False
     apart = np.abs((portrait(curve, again) - past) / units)
     return bool(apart[: count + 1].max() < MEETING.same and apart.max() < MEETING.alike)
+
+
+def _units(curve: Curve, solution: Solution) -> np.ndarray:
+    """What a portrait is measured in."""
+    scales, action = curve.scales, abs(solution.march.integral) or 1.0
+    return np.concatenate([[scales.period], scales.free, [action], scales.states, scales.states])
 
 
 def mirrored(interval: Interval, at: float) -> bool:

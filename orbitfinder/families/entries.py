@@ -49,6 +49,10 @@ KINDS.update({
         Look("o", "circle-open", series=2, pixels=12, hollow=True, numbered=True, across=True),
         crosses=True, critical=True, branches=True, followed=Followed(at_level, beside_level),
     ),
+    "avoided_crossing": EventKind(
+        checks.check_avoided, "another family comes near and turns away: it was crossed over to, or this one followed",
+        Look("|", "line-ns-open", "#666666", series=4, pixels=9),
+    ),
     "period_doubling": EventKind(
         checks.check_passage, "a multiplier is -1: a family of twice the period is born",
         Look("s", "square", "#B2182B", series=3, pixels=9, numbered=True, across=True),

@@ -12,6 +12,7 @@ Collisions come first: passages are counted between them, where indices keep the
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
@@ -36,11 +37,12 @@ from orbitfinder.families.passages import (
 )
 from orbitfinder.families.point import FamilySettings, freed, parameter_value
 from orbitfinder.families.registry import KINDS
-from orbitfinder.families.run import PASSING, Interval, Sample, is_real
-from orbitfinder.loops.continued import Curve
+from orbitfinder.families.run import PASSING, Interval, Sample, ahead, is_real, make_sample
+from orbitfinder.loops.conditions import hyperplane
+from orbitfinder.loops.continued import AvoidedCrossing, Curve, correct, tangent
 from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.orbits.floquet import ERROR_FLOOR
-from orbitfinder.records.family import BECOMES, Event
+from orbitfinder.records.family import AVOIDED, BECOMES, Event
 
 
 def slope(name: str) -> Measure:
@@ -88,7 +90,7 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
         return crossings(interval)
     if not interval.first.indices.size:
         return []
-    touched = [(interval.sample(place), test) for test, place in strips(interval)]
+    strips(interval)
     look(interval)
     # how often collisions are looked for again after orbits between them were seen
     for _ in range(4):
@@ -96,7 +98,7 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
         met = [located(interval, meeting, low, high) for low, high in brackets]
         passed = passages(interval, most, met)
         if len(collisions(interval)) == len(brackets):  # nothing that was seen meanwhile says otherwise
-            return touched + [(sample, Test("collision", "", meeting)) for sample in met] + passed
+            return [(sample, Test("collision", "", meeting)) for sample in met] + passed
     raise ConvergenceError("collisions of multipliers cannot be told apart within one step")
 
 
@@ -197,6 +199,16 @@ def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
         free=freed(curve, place),
         watch=watched(curve, sample.solution),
     )
+
+
+def avoiding(curve: Curve, near: AvoidedCrossing, first: Sample, over: bool, parameter: str) -> Event:
+    """The event at the orbit of a sample's family at which another one is nearest, which was crossed over to or not."""
+    row, guess = near.rows[1], near.centre.moved(np.sign(near.place(first.solution.place)[0]) * near.axes[0])
+    solution = correct(curve, guess, hyperplane(float(row @ near.centre.vector), row), reach=near.gap)
+    along = tangent(curve, solution, first.whole)
+    sample = make_sample(curve, ahead(curve, first, solution), solution, along, first.indices)
+    test = Test("avoided_crossing", AVOIDED[over], lambda sample: 0.0)
+    return replace(event_at(curve, sample, test, parameter), gap=near.gap)
 
 
 def _changes(interval: Interval, events: list[tuple[Sample, Test]]) -> list[tuple[Sample, Test]]:

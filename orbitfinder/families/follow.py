@@ -21,10 +21,10 @@ from orbitfinder.families.changes import first_lost
 from orbitfinder.families.codimension_two import find_special, left_circle
 from orbitfinder.families.ends import approach, end_at, end_of_failure, merged, returned, shortest_step
 from orbitfinder.families.entries import KINDS
-from orbitfinder.families.events import event_at, find_events
+from orbitfinder.families.events import avoiding, event_at, find_events
 from orbitfinder.families.joins import Invariance, Join
 from orbitfinder.families.motion import watched
-from orbitfinder.families.passages import Test, avoided, zeros
+from orbitfinder.families.passages import AIMED, MET, Test, avoided, crossing_ahead, zeros
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value
 from orbitfinder.families.registry import tests_of
 from orbitfinder.families.run import (
@@ -43,7 +43,7 @@ from orbitfinder.families.run import (
 from orbitfinder.loops.block import Ahead, Blocks, Pacing
 from orbitfinder.loops.condensed import combined
 from orbitfinder.loops.conditions import pinned
-from orbitfinder.loops.continued import Solution, advanced, correct, distance, plane, tangent
+from orbitfinder.loops.continued import Solution, advanced, correct, distance, oriented, plane, tangent
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.mesh import carried, regraded, settled
 from orbitfinder.records.ends import end_kind
@@ -107,8 +107,19 @@ def pacing(run: Run) -> Pacing:
 def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> tuple[Walked, Batch]:
     began = time.perf_counter()
     curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
-    ahead = None if blocks is None else blocks.next(curve, (place, sample.whole, before.curvature), length)
-    nearly = None
+    near = crossing_ahead(curve, sample, length)
+    ahead, nearly, over = None, None, False
+    if near is not None and 0.0 < near.gap < settings.narrowest:
+        along, z, close = near.rows @ sample.whole, near.place(place), MET * near.gap
+        left, curved = float(-z @ along / (along @ along)), float(z[0] ** 2 - z[1] ** 2)
+        if left > close and left - length < 0.5 * close and abs(curved) < AIMED * (z @ z):
+            return _attempt(run, before, left - 0.75 * close, blocks)
+        # nearer it has been decided, unless the family begins there; elsewhere the families are no hyperbola yet
+        over = (0.5 * near.gap if before.point is run.origin else 0.5 * close) < left <= close and 0 < curved < 2
+        if over:
+            length, nearly = 2 * left, near.centre.moved(near.centre.vector - place.vector)
+    if blocks is not None and not over:
+        ahead = blocks.next(curve, (place, sample.whole, before.curvature), length)
     if ahead is not None and not ahead.fits:
         nearly = ahead.solution.place.on(regraded(curve, ahead.solution))
         ahead = ahead if nearly.mesh is ahead.solution.place.mesh else None
@@ -118,8 +129,16 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
     last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
     if curve.equations.links and (cut := _cut(run, before, last)) is not None:
         return before, cut
-    if curve.test is None and length > settings.narrowest and avoided(sample, last):
-        raise ConvergenceError("two families may avoid each other within one step")
+    met, gone = list[Event](), near is not None and near.place(place)[1] * near.place(raw.place)[1] < 0.0
+    if near is not None and near.gap and gone:
+        if (oriented(curve, sample.solution, sample.whole) != oriented(curve, raw, whole)) != over:
+            raise ConvergenceError("two families avoid each other within one step")
+        met = [avoiding(curve, near, sample, over, settings.parameter)] if settings.events else met
+    elif not gone and avoided(sample, last):
+        if length > settings.narrowest:
+            raise ConvergenceError("two families may avoid each other within one step")
+        what = "from %s = %.12g on this may be another family: multipliers met at +1, and none was found to come near"
+        logging.getLogger(__name__).warning(what, settings.parameter, before.point.value)
     where: dict[str, Any] = {
         "index": before.point.index + 1,
         "arclength": before.point.arclength + run.direction * length,
@@ -135,13 +154,14 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
     if known is None and blocks is not None:
         known = blocks.accepted(curve, place, kept, whole)
     after = step_from(run, before, point, kept, whole, last if kept is raw else None, known)
-    batch = _batch(run, before, after, last)
+    batch = _batch(run, before, after, last, met)
     stands = bool(batch.points) and batch.points[-1] is after.point
     return after, replace(batch, standing=standing_of(curve, kept, whole)) if stands else batch
 
 
 def _corrected(run: Run, before: Walked, length: float, nearly: Unknowns | None = None) -> Ahead:
-    """The point a length on, corrected: from where it nearly is, on a mesh that fits it, where that is known."""
+    """The point a length on, corrected: from where it nearly is, on a mesh that fits it, where that is known to be on
+    the family or on one crossed over to."""
     curve, settings, sample, place = run.curve, run.settings, before.sample, before.solution.place
     guess = advanced(place, sample.whole, length, before.curvature)
     jacobian, drift = before.solution.jacobian, before.drift
@@ -151,22 +171,22 @@ def _corrected(run: Run, before: Walked, length: float, nearly: Unknowns | None 
     raw = correct(curve, nearly or guess, aim, place, reach=reach, slope=slope, fit=fit)
     whole = tangent(curve, raw, sample.whole)
     turn = float(np.arccos(np.clip(np.sum(curve.scales.metric(place) * sample.whole * whole), -1.0, 1.0)))
-    if turn > settings.sharpest_turn:
+    if turn > settings.sharpest_turn and nearly is None:
         raise ConvergenceError(f"the family turns by {turn:.2g} rad within one step")
     stretch = abs(raw.place.period / place.period - 1.0)
     # a step as short as this may change the period by more than `longest_stretch`: the saddle is reached in the end
-    if stretch > settings.longest_stretch and length > 1e-4:
+    if stretch > settings.longest_stretch and length > 1e-4 and nearly is None:
         raise ConvergenceError(f"the period changes by {stretch:.2g} within one step")
     missed = distance(curve, guess, raw.place)
     return Ahead(place, length, raw, whole, turn, stretch, missed, pacing(run).next(length, turn, stretch, missed))
 
 
-def _batch(run: Run, before: Walked, after: Walked, last: Sample) -> Batch:
-    """Everything between two points, in order: events, points asked for, and the end if there is one."""
+def _batch(run: Run, before: Walked, after: Walked, last: Sample, met: list[Event]) -> Batch:
+    """Everything between two points, in order: events, those `met` already too, points asked for, and an end."""
     settings, origin = run.settings, before.point
     interval, ended = make_interval(run.curve, before.sample, last), end_at(run, before, after)
     lost = run.curve.equations.gridded and min(origin.scale, after.point.scale) > UNKNOWN
-    inside = [] if lost else _events(interval, settings)  # of a canard nothing could be certified
+    inside = [] if lost else _events(interval, settings, met)  # of a canard nothing could be certified
     events = [_placed(event, run, origin) for event in inside]
     points, final = _exactly(run, before, interval, inside)
     if final:
@@ -205,7 +225,7 @@ def _cut(run: Run, before: Walked, last: Sample) -> Batch | None:
     events: list[Event] = []
     if reach > 0:
         until = make_interval(run.curve, before.sample, interval.sample((1 - ECHO) * reach))
-        events = [_placed(each, run, origin) for each in _events(until, run.settings)]
+        events = [_placed(each, run, origin) for each in _events(until, run.settings, [])]
     end = End(margin.kind, f"{margin.what} beyond {name} = {event.parameter:.12g}")
     return Batch(run.direction, _ordered(_within(points, origin, reach)), (*events, event), end)
 
@@ -221,7 +241,7 @@ def _exactly(
                     for each in exact_points(run, before, interval, goal, events, "end")[:1]]  # fmt: skip
 
 
-def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
+def _events(interval: Interval, settings: FamilySettings, met: list[Event]) -> list[Event]:
     """Located events; a step over one that cannot be located is repeated shorter, and at last taken without it."""
     if not settings.events:
         return []
@@ -230,12 +250,12 @@ def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
         located = find_events(interval, settings) if alone else find_special(interval)
         located += zeros(interval, tests_of(interval, not alone))
         events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in located]
-        return sorted(events, key=lambda event: event.arclength)
+        return sorted(events + met, key=lambda event: event.arclength)
     except (ConvergenceError, IntegrationError) as error:
-        if interval.length > SHORTEST_SEARCH:
+        if interval.length > SHORTEST_SEARCH and not met:
             raise
         logging.getLogger(__name__).warning("an event could not be located: %s", error)
-        return []
+        return met
 
 
 def _placed(event: Event, run: Run, origin: FamilyPoint) -> Event:

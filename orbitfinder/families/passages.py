@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from math import gcd
+from typing import cast
 
 import numpy as np
 
@@ -19,7 +21,7 @@ from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.run import JUNCTION, Interval, Sample, ahead, is_real, real_indices
 from orbitfinder.families.stability import matching
-from orbitfinder.loops.continued import crossed
+from orbitfinder.loops.continued import AvoidedCrossing, Curve, avoided_crossing, crossed
 
 LOCATION = 2e-11
 """Arclength within which an event is located."""
@@ -319,7 +321,7 @@ def twice(interval: Interval, measure: Measure, thorough: bool = False) -> float
     def height(distance: float) -> float:
         return sign * measure(interval.sample(distance))
 
-    place = _lowest(height, interval.length, exactly=False)[0] if thorough else _vertex(height, interval.length)
+    place = _lowest(height, interval.length) if thorough else _vertex(height, interval.length)
     return place if height(place) < 0 else None
 
 
@@ -347,9 +349,9 @@ def _parabola(places: Sequence[float], heights: Sequence[float]) -> tuple[float,
     return lowest, lambda place: low + (place - a) * (left + bend * (place - m))
 
 
-def _lowest(height: Callable[[float], float], length: float, exactly: bool = True) -> tuple[float, float]:
-    """Where it is lowest and how low, by parabolas through the lowest looks, or where it is first seen below 0; if not
-    `exactly`, no nearer than it takes to say that it stays above."""
+def _lowest(height: Callable[[float], float], length: float) -> float:
+    """Where it is lowest, by parabolas through the lowest looks, or where it is first seen below 0; no nearer than it
+    takes to say that it stays above."""
     known = {share * length: height(share * length) for share in (0.0, 0.5, 1.0)}
     narrow, told = EXTREMUM * length, False
     for _ in range(MOST_LOOKS):
@@ -361,17 +363,14 @@ def _lowest(height: Callable[[float], float], length: float, exactly: bool = Tru
         inside, near = a + narrow < place < b - narrow, abs(place - best) < narrow
         if known[best] < 0 or b - a < 3 * narrow:
             break
-        if not exactly and (near or (told and (not inside or parabola(place) > 0.5 * known[best]))):
+        if near or (told and (not inside or parabola(place) > 0.5 * known[best])):
             break
         wider = 1.0 if best > m or (best == m and b - m > m - a) else -1.0
-        if best == m and near:
-            place = best + wider * narrow
-        elif not inside:
+        if not inside:
             place = 0.5 * (m + (b if wider > 0 else a))
         known[place] = height(place)
         told = abs(known[place] - parabola(place)) < TOLD_LOW * abs(known[place])
-    best = min(known, key=lambda each: known[each])
-    return best, known[best]
+    return min(known, key=lambda each: known[each])
 
 
 def _exchanged(a: Sample, b: Sample) -> bool:
@@ -421,29 +420,38 @@ def avoided(before: Sample, after: Sample) -> bool:
     return any(flip.level > 0 for flip in flips(before, after))
 
 
-def strips(interval: Interval) -> list[tuple[Test, float]]:
-    """Looks inside every strip, so that its two bifurcations lie between orbits that were seen.
-
-    What is returned are the places at which multipliers touch without a strip: avoided crossings.
-    """
+def strips(interval: Interval) -> None:
+    """Looks inside every strip, so that its two bifurcations lie between orbits that were seen."""
     turned = flips(interval.first, interval.last)
-    touches = [touch for flip in turned for touch in _strip(interval, flip)]
+    for flip in turned:
+        with suppress(ConvergenceError, IntegrationError):  # the families have turned away on both sides
+            twice(interval, partial(_inside, flip), thorough=True)
     for level in {2.0, -2.0} - {flip.level for flip in turned}:
         grazed(interval, passage(level), GRAZED)
-    return touches
 
 
-def _strip(interval: Interval, flip: Flip) -> list[tuple[Test, float]]:
-    sign, j = np.sign(flip.level), flip.position
+def _inside(flip: Flip, sample: Sample) -> float:
+    return float(2.0 - np.sign(flip.level) * sample.indices[flip.position].real)
 
-    def below(distance: float) -> float:
-        return float(2.0 - sign * interval.sample(distance).indices[j].real)
 
-    try:
-        place, least = _lowest(below, interval.length)
-    except (ConvergenceError, IntegrationError):  # the families have turned away on both sides
-        least, place = min((below(sample.distance), sample.distance) for sample in interval.known())
-    if least < 0:
-        return []
-    what = f"at {flip.level / 2:+.0f}: an avoided crossing stepped over within an arclength of {interval.length:.1g}"
-    return [(Test("collision", what, passage(flip.level), multiplier=complex(sign)), place)]
+# Families that avoid each other (an internal resonance, a broken symmetry). Which one is followed beyond is decided by
+# their gap, before it is reached, and not by where a step ends.
+
+
+BESIDE, WIDE, MET, AIMED = 0.5, 0.5, 4.0, 0.2
+"""A root multiplier nearer to +1 than this may be what another family comes near with, across a gap no wider than this;
+it is crossed over to from so many gaps away, by a family that is off a straight way there by no more than this share"""
+
+
+def crossing_ahead(curve: Curve, sample: Sample, length: float) -> AvoidedCrossing | None:
+    """The crossing of two families that the next `length` from an orbit may come near to, of rows in one matrix."""
+    solution, reach = sample.solution, length + 2 * WIDE
+    plain = curve.test is None and not curve.equations.links and isinstance(solution.jacobian, np.ndarray)
+    if not plain or np.abs(sample.about.values - 1.0).min(initial=np.inf) > BESIDE:
+        return None
+    looked, found = cast("tuple[float, AvoidedCrossing | None]", solution.kept.get("avoided", (0.0, None)))
+    if looked < reach:
+        with suppress(IntegrationError, np.linalg.LinAlgError):
+            found = avoided_crossing(curve, solution, reach)
+        solution.kept["avoided"] = reach, found
+    return found if found is not None and found.gap < WIDE else None

@@ -42,8 +42,8 @@ class FamilySettings:
         sharpest_turn: rad between successive tangents; a sharper turn repeats the step at half its length.
         longest_stretch: relative change of the period within one step: near a saddle events come with every so many
             seconds.
-        narrowest: avoided crossings of two families are followed by steps no shorter than this, and else stepped over,
-            which the log says.
+        narrowest: where two families avoid each other across a gap that is narrower than this, the other one is gone on
+            along; an event says which.
         longest_period: in units of the shortest period met: beyond it a slow orbit counts as homoclinic.
         resonances: period-q resonances are looked for up to this q.
         events: whether bifurcations are looked for.
@@ -66,7 +66,7 @@ class FamilySettings:
     shortest_step: float = 1e-7
     sharpest_turn: float = 0.3
     longest_stretch: float = 0.06
-    narrowest: float = 0.2
+    narrowest: float = 0.1
     longest_period: float = 12.0
     resonances: int = 6
     events: bool = True

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -59,6 +59,7 @@ from orbitfinder.loops.continued import (
     begun,
     correct,
     crossed,
+    oriented,
     plane,
     scaled,
     tangent,
@@ -77,6 +78,7 @@ from orbitfinder.records.certificate import Certificate, Check, at_least, at_mos
 from orbitfinder.records.ends import end_fault
 from orbitfinder.records.family import (
     AGAIN,
+    AVOIDED,
     CLOSURE,
     DECIDED,
     UNKNOWN,
@@ -101,9 +103,10 @@ GROWN, SHARPER = 1.5, 1e-4
 of those found from an event's state alone, with which errors grow"""
 SETTLED = 1e-6
 """Equilibria and eigenvalues at such an end are known to this, relative"""
-SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (2e-1, 1), (5e-1, 1))
+SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (8e-2, 1), (2e-1, 1), (5e-1, 1))
 """How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
 ones where two events share a step, the farthest where a parameter hardly moves beyond its round-off, as in a canard"""
+_Member = TypeVar("_Member", FamilyPoint, Event)
 STEPS = 480
 """Steps of a period on which an orbit is marched of which the nodes are not known"""
 
@@ -311,6 +314,8 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         _told(family, curve, event, abs(after.value - before.value), abs(after.energy - before.energy))
         along, step, old = _head(after) - _head(before), after.arclength - before.arclength, event.check
         event, along = reverted(event), along if event.arclength >= 0 else -along  # as it was followed
+        if event.gap is not None:
+            _sided(curve, event, along, (before, after)[:: 1 if event.arclength >= 0 else -1])
         again = _read_again(curve, event, along, step, family.parameter)
         if old is not None and not (old.passed and abs(old.value - again.value) <= old.error + again.error):
             raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {again.value:.3g}")
@@ -324,6 +329,16 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
     except (ConvergenceError, IntegrationError) as error:
         return refused(event.kind, error, float("nan"))
     return at_most(event.kind, abs(again.value), again.error, event.detail, again.passed)
+
+
+def _sided(curve: Curve, event: Event, along: np.ndarray, members: Sequence[FamilyPoint]) -> None:
+    """Raises `ConvergenceError` unless an avoided crossing was crossed or followed, as it says, from its own side."""
+    orbits = [settled_on(curve, each) for each in (_alone(members[0]), _alone(event), _alone(members[1]))]
+    first, here, last = (oriented(curve, each, tangent(curve, each, along)) for each in orbits)
+    if first != here or event.detail != AVOIDED[first != last]:
+        raise ConvergenceError(
+            f"it was {AVOIDED[first != last]}" if first == here else "the orbit is the other family's"
+        )
 
 
 def _too_sharp(event: Event, again: Reading) -> str:
@@ -347,7 +362,7 @@ def _read_again(curve: Curve, event: Event, along: np.ndarray, step: float, para
     return again if again.passed or not nodes else reading(curve, event, along, step, parameter)
 
 
-def _alone(event: Event) -> Event:
+def _alone(event: _Member) -> _Member:
     """The event as its state says it, without what a file beside it says."""
     nothing = np.zeros(0)
     return replace(event, shooting_nodes=nothing.reshape(0, 0), mesh=nothing, tangent=nothing)

@@ -12,6 +12,8 @@ from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
+from scipy.integrate import trapezoid
+from scipy.linalg import eigh
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
@@ -565,6 +567,77 @@ def crossed(curve: Curve, solution: Solution, share: float = CRITICAL) -> bool:
     """Whether another family crosses there: the rows without an aim have a kernel of two dimensions."""
     sizes = np.linalg.svd(scaled(curve, solution)[0], compute_uv=False)
     return bool(sizes[-1] < share * sizes[-2:][0])
+
+
+@dataclass(frozen=True)
+class AvoidedCrossing:
+    """Where two families avoid each other (or cross, the `gap` being 0), in the plane of both through a `centre`.
+
+    There they are the hyperbola z_0^2 - z_1^2 = 1, z = `rows` (2 over w) (w - centre), and centre +- `axes`[0] (2 over
+    w) their orbits that are nearest to each other, by <., .> over the whole motion.
+    """
+
+    centre: Unknowns
+    axes: np.ndarray
+    rows: np.ndarray
+    gap: float
+
+    def place(self, w: Unknowns) -> np.ndarray:
+        """z of an orbit over the same segments."""
+        return np.asarray(self.rows @ (w.vector - self.centre.vector))
+
+
+def avoided_crossing(curve: Curve, solution: Solution, reach: float) -> AvoidedCrossing | None:
+    """The place within `reach` of an orbit at which two families avoid each other or cross, if there is one.
+
+    The orbits of F(w) + b psi = 0, psi the left singular vector of the smallest singular value, are a surface on which
+    b has a saddle there; b = 0 are the families. Newton's method for the saddle, in the plane of the last two right
+    singular vectors. Source: W. J. F. Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria (2000).
+    """
+    w, path, apart, free = solution.place, solution.march, CORRECTOR.difference, curve.equations.size + 1
+    curve, units, cut = curve.through(w), 1.0 / np.sqrt(curve.weights[free:]), w.nodes.size
+    for _ in range(CORRECTOR.most_newton):
+        curve = replace(curve, scales=Scales.of(curve.sizes(Solution(w, path, NO_ROWS, 0.0)), w, units))
+        measures, weights = _measures(curve, w), curve.scales.metric(w)
+        matrix = measures.matrix(dense(jacobian_of(curve, w, path)))
+        left, sizes, right = np.linalg.svd(matrix)
+        plane, axes, residual = right[-2:], right[-2:] * measures.columns, curve.rows(w, path.ends) / measures.rows
+        places = [w.moved(apart * axis) for axis in axes]
+        paths = curve.equations.varied_each(places, states=True)
+        rows = [
+            left[:, -1] @ measures.matrix(dense(jacobian_of(curve, *each))) for each in zip(places, paths, strict=True)
+        ]
+        bent = (rows - left[:, -1] @ matrix) @ plane.T / apart
+        across = right[:-2].T @ (left[:, :-1].T @ residual / sizes[:-1])
+        step = -across - plane.T @ np.linalg.solve(bent, [sizes[-1], 0.0])
+        moved = w.moved(measures.columns * step)
+        if not distance(curve, moved, solution.place) < reach:
+            return None
+        if np.abs(step).max() < CORRECTOR.newton_floor:
+            break
+        w, path = moved, curve.equations.varied(moved, states=True)
+    else:
+        return None
+    states = np.array([each.states for each in (path, *paths)]) / curve.scales.states
+    motions, times = (states[1:] - states[0]) / apart, w.mesh / w.mesh[-1]
+    if len(curve.normals):  # what leads along the orbit is another time, and no other motion
+        rates = np.gradient(states[0], times, axis=0)
+        motions -= np.tensordot(np.sum(motions * rates, axis=(1, 2)), rates / np.sum(rates**2), axes=0)
+    lengths = trapezoid(np.einsum("ikd,jkd->ijk", motions, motions), times)
+    values, vectors = eigh(bent, lengths + axes[:, cut:] * weights[cut:] @ axes[:, cut:].T)
+    if not values[0] < 0.0 < values[1]:
+        return None
+    level = float(left[:, -1] @ residual)
+    known, order = max(abs(level), CORRECTOR.newton_floor), np.argsort(values * level)
+    vectors = vectors[:, order] * np.sqrt(2 * known / np.abs(values[order]))
+    gap = 2 * float(np.sqrt(2 * known / abs(values[order[0]]))) if known == abs(level) else 0.0
+    return AvoidedCrossing(w, vectors.T @ axes, np.linalg.solve(vectors, plane / measures.columns), gap)
+
+
+def oriented(curve: Curve, solution: Solution, whole: np.ndarray) -> bool:
+    """The sign of the determinant of the rows and a tangent: one along a family, another on that which it avoids."""
+    matrix, units = scaled(curve, solution)
+    return bool(np.linalg.slogdet(np.vstack([matrix, whole / units]))[0] > 0)
 
 
 def advanced(w: Unknowns, whole: np.ndarray, length: float, curvature: np.ndarray | None = None) -> Unknowns:

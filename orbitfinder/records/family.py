@@ -51,12 +51,12 @@ METHODS = ("product", "periodic QR", "Hill")
 """How multipliers were computed: as eigenvalues of the state-transition matrices' product, factor by factor, or, as few
 as it takes, of Hill's matrix."""
 AGAIN = "continue the family again"
-BECOMES, DECIDED, UNCHANGING = (
-    ("becomes stable", "becomes unstable"), ("unstable", "asymptotically stable", "elliptic"),
-    ("turn", "extremum", "resonance"),
+AVOIDED, BECOMES, DECIDED, UNCHANGING = (
+    ("followed", "crossed"), ("becomes stable", "becomes unstable"), ("unstable", "asymptotically stable", "elliptic"),
+    ("turn", "extremum", "resonance", "avoided_crossing"),
 )  # fmt: skip
-"""The details of a change of stability, in the order in which a family is listed; verdicts that say something; events
-at which they do not change"""
+"""The details of an avoided crossing; of a change of stability, in the order in which a family is listed; verdicts that
+say something; events at which they do not change"""
 CURVE: dict[str, Any] = {
     "cycles": int, "watch": dict[str, Any], "parameters": tuple[str, str], "test": dict[str, Any], "method": str,
     "form": str, "pace": float, "fixed": dict[str, float], "free": tuple[str, ...],
@@ -166,10 +166,10 @@ class Reading:
 class Event(Shown):
     """Something that happens between two points, located on the family.
 
-    `kind`: fold | turn (of the period or of a momentum) | branch_point | period_doubling | torus | resonance |
-    collision | stability_change | extremum (of a watched number), of hybrid systems grazing | cycle_change | holds;
-    along a curve of bifurcations in two parameters cusp | isola_centre | transcritical | strong_resonance |
-    fold_doubling | fold_torus | doubling_torus | degenerate_doubling.
+    `kind`: fold | turn (of the period or of a momentum) | branch_point | avoided_crossing (`detail`: followed |
+    crossed) | period_doubling | torus | resonance | collision | stability_change | extremum (of a watched number), of
+    hybrid systems grazing | cycle_change | holds; along a curve of bifurcations in two parameters cusp | isola_centre |
+    transcritical | strong_resonance | fold_doubling | fold_torus | doubling_torus | degenerate_doubling.
     `detail` says what exactly (of what the fold is, q of the resonance, what changed);
     `multiplier` is the critical multiplier of the root map, `order` the number of periods after which the branch
     closes.
@@ -178,7 +178,7 @@ class Event(Shown):
     __repr__ = brief("kind", "detail", "parameter", "error", "period", "index")
     _called = FamilyPoint._called
     _entries = (..., "criticality", "error", "period_error")
-    _sparse = ("check", "watch", "criticality", "error", "period_error")
+    _sparse = ("check", "watch", "criticality", "error", "period_error", "gap")
 
     kind: str
     index: int
@@ -199,6 +199,8 @@ class Event(Shown):
     check: Reading | None = None
     """by its definition (see `families.checks`); none in older files"""
     watch: Mapping[str, float] = field(default_factory=dict)
+    gap: float | None = None
+    """of an avoided crossing: how far apart the two families are where they are nearest, in sizes of the motion"""
 
     _check = _check_place
 
