@@ -137,7 +137,7 @@ def test_a_recorded_avoided_crossing_verifies(recorded, model):
     assert event_checks(recorded, model) == event_checks(bare, model, **alone) == [True]
 
 
-@pytest.mark.parametrize("share", [0.5, 0.98, 1.02, 2.0, 0.0])
+@pytest.mark.parametrize("share", [0.5, 0.98, 1.02, 2.0, 0.0, np.inf, np.nan])
 def test_another_gap_is_refused(recorded, model, share):
     (event,) = avoided(recorded)
     assert event_checks(recorded, model, gap=share * event.gap) == [False]

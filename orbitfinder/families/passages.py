@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from math import gcd
-from typing import cast
 
 import numpy as np
 
@@ -444,14 +443,13 @@ it is crossed over to from so many gaps away, by a family that is off a straight
 
 
 def crossing_ahead(curve: Curve, sample: Sample, length: float) -> AvoidedCrossing | None:
-    """The crossing of two families that the next `length` from an orbit may come near to, of rows in one matrix."""
-    solution, reach = sample.solution, length + 2 * WIDE
-    plain = curve.test is None and not curve.equations.links and isinstance(solution.jacobian, np.ndarray)
-    if not plain or np.abs(sample.about.values - 1.0).min(initial=np.inf) > BESIDE:
+    """The crossing of two families that the next `length` from an orbit may come near to."""
+    reach, kept = length + 2 * WIDE, sample.solution.kept
+    if np.abs(sample.about.values - 1.0).min(initial=np.inf) > BESIDE:
         return None
-    looked, found = cast("tuple[float, AvoidedCrossing | None]", solution.kept.get("avoided", (0.0, None)))
-    if looked < reach:
+    if kept.get("looked", 0.0) < reach:
+        kept["looked"], kept["avoided"] = reach, None
         with suppress(IntegrationError, np.linalg.LinAlgError):
-            found = avoided_crossing(curve, solution, reach)
-        solution.kept["avoided"] = reach, found
-    return found if found is not None and found.gap < WIDE else None
+            kept["avoided"] = avoided_crossing(curve, sample.solution, reach)
+    found: AvoidedCrossing | None = kept["avoided"]
+    return found if found and found.gap < WIDE else None

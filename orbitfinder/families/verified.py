@@ -314,7 +314,7 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         _told(family, curve, event, abs(after.value - before.value), abs(after.energy - before.energy))
         along, step, old = _head(after) - _head(before), after.arclength - before.arclength, event.check
         event, along = reverted(event), along if event.arclength >= 0 else -along  # as it was followed
-        if event.gap is not None:
+        if event.gap is not None and curve.test is None:
             _sided(curve, event, along, (before, after)[:: 1 if event.arclength >= 0 else -1])
         again = _read_again(curve, event, along, step, family.parameter)
         if old is not None and not (old.passed and abs(old.value - again.value) <= old.error + again.error):

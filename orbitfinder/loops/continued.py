@@ -588,17 +588,20 @@ class AvoidedCrossing:
 
 
 def avoided_crossing(curve: Curve, solution: Solution, reach: float) -> AvoidedCrossing | None:
-    """The place within `reach` of an orbit at which two families avoid each other or cross, if there is one.
+    """The place within `reach` of an orbit at which two families of smooth motions, whose rows are in one matrix, avoid
+    each other or cross, if there is one.
 
     The orbits of F(w) + b psi = 0, psi the left singular vector of the smallest singular value, are a surface on which
     b has a saddle there; b = 0 are the families. Newton's method for the saddle, in the plane of the last two right
     singular vectors. Source: W. J. F. Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria (2000).
     """
+    if curve.test is not None or curve.equations.links or isinstance(solution.jacobian, Linearised):
+        return None
     w, path, apart, free = solution.place, solution.march, CORRECTOR.difference, curve.equations.size + 1
     curve, units, cut = curve.through(w), 1.0 / np.sqrt(curve.weights[free:]), w.nodes.size
     for _ in range(CORRECTOR.most_newton):
         curve = replace(curve, scales=Scales.of(curve.sizes(Solution(w, path, NO_ROWS, 0.0)), w, units))
-        measures, weights = _measures(curve, w), curve.scales.metric(w)
+        measures = _measures(curve, w)
         matrix = measures.matrix(dense(jacobian_of(curve, w, path)))
         left, sizes, right = np.linalg.svd(matrix)
         plane, axes, residual = right[-2:], right[-2:] * measures.columns, curve.rows(w, path.ends) / measures.rows
@@ -611,7 +614,7 @@ def avoided_crossing(curve: Curve, solution: Solution, reach: float) -> AvoidedC
         across = right[:-2].T @ (left[:, :-1].T @ residual / sizes[:-1])
         step = -across - plane.T @ np.linalg.solve(bent, [sizes[-1], 0.0])
         moved = w.moved(measures.columns * step)
-        if not distance(curve, moved, solution.place) < reach:
+        if not distance(curve, moved, solution.place) < reach or not moved.period > 0.0:
             return None
         if np.abs(step).max() < CORRECTOR.newton_floor:
             break
@@ -624,7 +627,8 @@ def avoided_crossing(curve: Curve, solution: Solution, reach: float) -> AvoidedC
         rates = np.gradient(states[0], times, axis=0)
         motions -= np.tensordot(np.sum(motions * rates, axis=(1, 2)), rates / np.sum(rates**2), axes=0)
     lengths = trapezoid(np.einsum("ikd,jkd->ijk", motions, motions), times)
-    values, vectors = eigh(bent, lengths + axes[:, cut:] * weights[cut:] @ axes[:, cut:].T)
+    tails = axes[:, cut:] * np.sqrt(curve.scales.metric(w)[cut:])
+    values, vectors = eigh(bent, lengths + tails @ tails.T)
     if not values[0] < 0.0 < values[1]:
         return None
     level = float(left[:, -1] @ residual)
