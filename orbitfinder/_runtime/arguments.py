@@ -45,10 +45,6 @@ def _numbers(value: Any) -> bool:
         return False
 
 
-def _pair(value: Any) -> bool:
-    return _numbers(value) and np.shape(value) == (2,)
-
-
 def _is_a(*names: str) -> Callable[[Any], bool]:
     """Whether a value is of a class of that name, which need not be imported for that."""
     return lambda value: any(base.__name__ in names for base in type(value).__mro__)
@@ -63,7 +59,10 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "np.ndarray": (_numbers, "an array of numbers"),
     "Numbers": (_numbers, "a number, or one for each"),
     "Sequence[float]": (lambda value: _numbers(value) and np.ndim(value) > 0, "a list of numbers"),
-    "tuple[float, float]": (_pair, "two numbers, [smallest, largest]"),
+    "tuple[float, float]": (
+        lambda value: _numbers(value) and np.shape(value) == (2,),
+        "two numbers, [smallest, largest]",
+    ),
     "ca.SX": (lambda value: _is_a("SX", "DM")(value) or _numbers(value), "a CasADi SX expression"),
     "ca.MX": (lambda value: _is_a("MX", "DM")(value) or _numbers(value), "a CasADi MX expression"),
     "Answer": (lambda value: isinstance(value, str) or callable(value), "a function, or its name 'module:function'"),
@@ -215,23 +214,14 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
         except TypeError as error:
             wrong = next((word for word in kwargs if word not in signature.parameters), "")
             hint = closest(wrong, list(signature.parameters)) if wrong else ""
-            usage = f"{function.__name__}({', '.join(map(str, _plain(signature)))})"
+            plain = (each.replace(annotation=inspect.Parameter.empty) for each in signature.parameters.values())
+            usage = f"{function.__name__}({', '.join(map(str, plain))})"
             raise InputError(f"{function.__name__}: {error}{hint}; call it as {usage}") from error
         for name, value in given.arguments.items():
-            _check_argument(signature.parameters[name], value)
+            parameter = signature.parameters[name]
+            several = value if parameter.kind is inspect.Parameter.VAR_KEYWORD else {name: value}
+            for each, entry in several.items():
+                check(each, str(parameter.annotation), entry)
         return function(*given.args, **given.kwargs)
 
     return front
-
-
-def _plain(signature: inspect.Signature) -> list[inspect.Parameter]:
-    return [parameter.replace(annotation=inspect.Parameter.empty) for parameter in signature.parameters.values()]
-
-
-def _check_argument(parameter: inspect.Parameter, value: Any) -> None:
-    annotation = str(parameter.annotation)
-    if parameter.kind is inspect.Parameter.VAR_KEYWORD:
-        for name, entry in value.items():
-            check(name, annotation, entry)
-    else:
-        check(parameter.name, annotation, value)

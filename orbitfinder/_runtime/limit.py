@@ -103,7 +103,9 @@ def check() -> None:
 def alarm() -> Iterator[None]:
     """A block of a single call of CasADi, which the deadline ends; `LimitError` whatever CasADi makes of that."""
     check()
-    ringing = math.isfinite(left()) and _can_ring()
+    here = threading.current_thread() is threading.main_thread()  # where alone there are alarms
+    free = here and hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0  # nobody else's
+    ringing = free and math.isfinite(left())
     before = signal.signal(signal.SIGALRM, lambda *_: check()) if ringing else None
     try:
         if ringing:
@@ -115,9 +117,3 @@ def alarm() -> Iterator[None]:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, before)
         check()
-
-
-def _can_ring() -> bool:
-    """Only in the main thread, where there are alarms, and where nobody else has set any."""
-    here = threading.current_thread() is threading.main_thread()
-    return here and hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0

@@ -45,12 +45,6 @@ class _Stream(io.TextIOBase):
         return len(text)
 
 
-def _flush() -> None:
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(ValueError, OSError, AttributeError):
-            stream.flush()
-
-
 @contextlib.contextmanager
 def captured() -> Iterator[Captured]:
     """Send everything printed inside the block to the yielded object instead of the terminal.
@@ -72,7 +66,9 @@ def captured() -> Iterator[Captured]:
 
 @contextlib.contextmanager
 def _redirected() -> Iterator[Captured]:
-    _flush()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(ValueError, OSError, AttributeError):
+            stream.flush()
     result = Captured()
     streams.opened()
     stdout, stderr = _Stream(result.parts), _Stream(result.parts)

@@ -63,7 +63,10 @@ class _Processes:
         while waiting or busy:
             idle = [hand for hand in self.hands if hand not in busy]
             while waiting and (idle or len(self.hands) < self._most):
-                hand = idle.pop() if idle else self._started()
+                if not idle:
+                    idle.append(processes.hired(_serve, self._work, limit.left()))
+                    self.hands += idle
+                hand = idle.pop()
                 busy[hand] = waiting.popleft()
                 hand.tell(requests[busy[hand]])
             for hand in processes.ready(busy):
@@ -80,10 +83,6 @@ class _Processes:
                     raise OrbitfinderError(f"{self._what}: processes die at task {number + 1} of {len(requests)}; "
                                            "run it again with workers = 1 to see where")  # fmt: skip
                 waiting.appendleft(number)
-
-    def _started(self) -> processes.Hand:
-        self.hands.append(processes.hired(_serve, self._work, limit.left()))
-        return self.hands[-1]
 
 
 def _serve(pipe: Connection, work: Work, left: float) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -28,6 +28,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified, return_distances
 from orbitfinder.orbits.measure import around, composed, sampled_action, sampled_period, whole_unknowns
 from orbitfinder.records.orbit import VERSION, Orbit, orbit_from_document
+from orbitfinder.records.reading import Table
 
 Found = tuple[SearchStart, Signature, Callable[[], Course[tuple[Orbit, Model]]]]
 """A start, what the motion that it led to is recognised by, and what makes an Orbit of that"""
@@ -43,7 +44,7 @@ class Job:
 
     number: int
     certain: bool = False
-    source: Mapping[str, Any] | None = None
+    source: Table | None = None
     tries: int = field(default=1, compare=False)
 
 
@@ -93,7 +94,7 @@ def attempt(
     seed: int,
     index: int,
     known: ArrayLike | None = None,
-    source: Mapping[str, Any] | None = None,
+    source: Table | None = None,
 ) -> Attempt:
     """One start from its number to its orbit and certificate; with a `source` from the orbit of that document.
 
@@ -143,7 +144,7 @@ def _orbits(
     return dict(zip(wanted, abreast(list(wanted.values())), strict=True))
 
 
-def continuation(context: Context, index: int, source: Mapping[str, Any]) -> SearchStart:
+def continuation(context: Context, index: int, source: Table) -> SearchStart:
     """The start at the first orbit of the source's family that has the energy wanted.
 
     `ConvergenceError` when the family ends before.

@@ -10,8 +10,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from orbitfinder.atlas.attempt import Job, attempts
 from orbitfinder.atlas.search import FIRST
 from orbitfinder.atlas.signature import Signature, same_orbit, signature_of
@@ -93,7 +91,9 @@ def least_unstable(
         )
     best = known[0].orbit
     plain = without_choice(replace(problem, symmetry="none"))
-    wanted = replace(plain, pin=problem.pin, guess=_guess(best), winding=best.winding)
+    dense = (best.times, best.samples) if len(best.samples) > 1 else ()
+    guess = Guess(best.samples[0] if dense else best.state, best.period, *dense)
+    wanted = replace(plain, pin=problem.pin, guess=guess, winding=best.winding)
     orbit = find_orbit(wanted, settings, progress)
     if abs(orbit.period / best.period - 1) > NEAR:
         raise ConvergenceError(
@@ -153,13 +153,6 @@ def _add(known: list[Candidate], signature: Signature, orbit: Orbit | None) -> N
             return
     if orbit is not None:
         known.append(Candidate(orbit, signature, 1, rank(orbit)))
-
-
-def _guess(orbit: Orbit) -> Guess:
-    """A found orbit as a guess, with its own trajectory where it carries one."""
-    if len(orbit.samples) > 1:
-        return Guess(orbit.samples[0], orbit.period, orbit.times, orbit.samples)
-    return Guess(np.asarray(orbit.state), orbit.period)
 
 
 def _record(known: list[Candidate], starts: int, seed: int) -> dict[str, object]:

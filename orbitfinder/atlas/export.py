@@ -11,6 +11,7 @@ from orbitfinder.atlas.store import Atlas, AtlasRow, Filter, named_state, proved
 from orbitfinder.exports.tables import table_bytes
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.records.orbit import orbit_from_document
+from orbitfinder.records.reading import json_bytes
 
 FIELDS = {
     "id": ("", "number of the orbit in the atlas, which it keeps"),
@@ -36,10 +37,6 @@ STATE = ("rad or m, and 1/s", "component of the state at t = 0: coordinates, the
 def exported(atlas: Atlas, kind: str, chosen: Filter | None = None) -> bytes:
     """The content of a file of that kind: json (orbit documents), csv or parquet (one row an orbit)."""
     return WRITERS[kind](atlas, chosen)
-
-
-def _documents(atlas: Atlas, chosen: Filter | None) -> bytes:
-    return (json.dumps(list(atlas.documents(chosen)), indent=1, allow_nan=False) + "\n").encode()
 
 
 def _table(atlas: Atlas, chosen: Filter | None, to: str) -> bytes:
@@ -78,7 +75,7 @@ def flat(atlas: Atlas, row: AtlasRow, state_names: tuple[str, ...]) -> dict[str,
 
 
 WRITERS: dict[str, Callable[[Atlas, Filter | None], bytes]] = {
-    "json": _documents,
+    "json": lambda atlas, chosen: json_bytes(list(atlas.documents(chosen))),
     "csv": lambda atlas, chosen: _table(atlas, chosen, "csv"),
     "parquet": lambda atlas, chosen: _table(atlas, chosen, "parquet"),
 }

@@ -105,7 +105,10 @@ def merge_atlases(
     if not files:
         raise InputError("files: none given; name the atlases to merge")
     with contextlib.ExitStack() as stack:
-        books = [stack.enter_context(Atlas(file, model=model, trusted=trusted)) for file in _distinct(files)]
+        books = [
+            stack.enter_context(Atlas(file, model=model, trusted=trusted))
+            for file in {Path(file).resolve(): Path(file) for file in files}.values()
+        ]
         for book in books[1:]:
             stack.enter_context(Atlas(book.path, books[0].system, model=model, trusted=trusted))  # or it is of another
         out = stack.enter_context(Atlas(atlas, books[0].system, write=True, model=model, trusted=trusted))
@@ -147,11 +150,6 @@ def _mark(book: Atlas) -> str:
             for row in book.connection.execute(f"SELECT * FROM {table} ORDER BY 1, 2"):
                 digest.update(repr(row).encode())
     return f"merged {digest.hexdigest()}"
-
-
-def _distinct(files: Sequence[str | Path]) -> list[Path]:
-    """Each file once."""
-    return list({Path(file).resolve(): Path(file) for file in files}.values())
 
 
 def _searches(book: Atlas) -> dict[int, Request]:

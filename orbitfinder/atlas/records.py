@@ -1,6 +1,5 @@
 """The records of this room, for the registry of records."""
 
-from pathlib import Path
 from typing import Any
 
 from orbitfinder._runtime.rooms import loaded
@@ -13,12 +12,9 @@ def _facts(atlas: Any) -> dict[str, Any]:
     return {"system": atlas.system, **loaded("atlas.report:summarise")(atlas).document()}
 
 
-def _drawn(atlas: Any, folder: Path, _: Any) -> Any:
-    return loaded("show.plot:save_atlas_figures")(atlas, folder)
-
-
 KINDS["atlas"] = Kind(
-    "an atlas", "atlas.store:Atlas", one="atlas.store:stored", first=1, facts=_facts, plot=_drawn,
+    "an atlas", "atlas.store:Atlas", one="atlas.store:stored", first=1, facts=_facts,
+    plot=lambda atlas, folder, _: loaded("show.plot:save_atlas_figures")(atlas, folder),
     page="site.gather:add_atlas", studio="atlas",
 )  # fmt: skip
 KINDS["export"] = Kind(

@@ -191,7 +191,9 @@ def context_of(model: Model, target: Target) -> Context:
         return _steered(model, target)
     check(model, target)
     if not model.smooth:
-        return _cut(model, target)
+        section = EventSection.of(model, target.section, target.cycles, target.periods, target.energy)
+        place = section.drawn(np.random.default_rng(0))
+        return Context(model, target, place, np.zeros((place.size, 0)), TURNED, section.lengths, section=section)
     if model.forced:
         return _forced(model, target)
     if model.rates is not None:
@@ -255,13 +257,6 @@ def _forced(model: Model, target: Target) -> Context:
             "widen it"
         )
     return _ready(context, {NONE.name: NONE if model.rates is None else ALONE}, place)
-
-
-def _cut(model: Model, target: Target) -> Context:
-    """The shared part of a search of a hybrid system."""
-    section = EventSection.of(model, target.section, target.cycles, target.periods, target.energy)
-    place = section.drawn(np.random.default_rng(0))
-    return Context(model, target, place, np.zeros((place.size, 0)), TURNED, section.lengths, section=section)
 
 
 def _steered(model: Model, target: Target) -> Context:
@@ -543,11 +538,6 @@ def simulated(context: Context, state: np.ndarray, duration: float) -> Course[tu
     return duration * mesh, states
 
 
-def _minima(gaps: np.ndarray) -> np.ndarray:
-    """Where gaps are no larger than before and after."""
-    return np.flatnonzero((gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:])) + 1
-
-
 def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.random.Generator) -> Course[float]:
     """A period at which the boundary condition nearly holds, drawn from the nearest few."""
     half = symmetry == REVERSAL.name or symmetry in context.declared
@@ -555,7 +545,7 @@ def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.
     low, high = context.target.periods
     times, states = yield from simulated(context, state, fraction * high)
     gaps = boundary_gap(context, symmetry, states)
-    minima = _minima(gaps)
+    minima = np.flatnonzero((gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:])) + 1
     minima = minima[times[minima] >= fraction * low]
     if not minima.size:
         raise ConvergenceError("no return in the range of periods")

@@ -31,7 +31,7 @@ from orbitfinder.records.orbit import (
     orbit_to_document,
     recorded_proof,
 )
-from orbitfinder.records.reading import LARGEST_INTEGER, inflated, is_number, json_document, read_as, walked
+from orbitfinder.records.reading import LARGEST_INTEGER, Table, inflated, is_number, json_document, read_as, walked
 
 RESTORE = "restore a copy of the atlas"
 LOOPS_KEPT = 32_000_000
@@ -238,7 +238,7 @@ class Atlas(Shown):
             )
         return recorded
 
-    def _moves_alike(self, system: Mapping[str, Any], write: bool) -> bool:
+    def _moves_alike(self, system: Table, write: bool) -> bool:
         """True when a Model without a description, given to read, has the recorded energy all along every orbit."""
         if write or self._model is None or system_kind(system) is not OTHER:
             return False
@@ -377,7 +377,7 @@ class Atlas(Shown):
         assert cursor.lastrowid is not None
         return cursor.lastrowid
 
-    def describe(self, number: int, proof: Mapping[str, Any] | None = None) -> None:
+    def describe(self, number: int, proof: Table | None = None) -> None:
         """Write the signature of a stored orbit again, which atlases made before 0.2 lack, and a proof of it.
 
         Raises `InputError` for a proof of another orbit, as where a merge has numbered them anew meanwhile.
@@ -406,7 +406,7 @@ def stored(path: Path, number: int) -> Orbit:
         return atlas.orbit(number)
 
 
-def compressed(document: Mapping[str, Any]) -> bytes:
+def compressed(document: Table) -> bytes:
     """A document as an atlas keeps it."""
     return zlib.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), 9)
 
@@ -426,7 +426,7 @@ def parameters_in_words(parameters: str, before: str = "") -> str:
     return before * bool(parameters) + ", ".join(f"{k} = {value:.9g}" for k, value in named_values(parameters).items())
 
 
-def proved(document: Mapping[str, Any]) -> str:
+def proved(document: Table) -> str:
     """The stability that the recorded proof of an orbit decides ("linearly stable", ..., "open"), "" without one."""
     return str((recorded_proof(document) or {}).get("stability", ""))
 
@@ -438,7 +438,7 @@ def unpacked(data: bytes, where: str) -> dict[str, Any]:
     return document
 
 
-def named_state(document: Mapping[str, Any], names: Sequence[str]) -> dict[str, float]:
+def named_state(document: Table, names: Sequence[str]) -> dict[str, float]:
     """The state of an orbit document by its components' names. `InputError` when it is of another system."""
     state = document["state"]
     if len(state) != len(names):
@@ -446,13 +446,13 @@ def named_state(document: Mapping[str, Any], names: Sequence[str]) -> dict[str, 
     return dict(zip(names, state, strict=True))
 
 
-def canonical(system: Mapping[str, Any]) -> str:
+def canonical(system: Table) -> str:
     """A description of a system in which 2 and 2.0 are one, keys sorted."""
     told = {key: value for key, value in system.items() if key not in ALIKE}
     return json.dumps(walked(told, lambda entry: float(entry) if is_number(entry) else entry), sort_keys=True)
 
 
-def described(system: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+def described(system: Table, other: Table) -> str:
     """A system in a few words: its kind, and what differs from another."""
     words = [f"{key} = {value}" for key, value in system.items() if key not in ALIKE and other.get(key) != value]
     return f"{system.get('kind', 'unknown')} ({', '.join(sorted(words, key=len))})"[:200]

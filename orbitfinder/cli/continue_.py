@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
@@ -22,6 +22,7 @@ from orbitfinder.errors import InputError, plural
 from orbitfinder.records.certificate import certified
 from orbitfinder.records.ends import stuck
 from orbitfinder.records.family import Batch, Event, number_of, reverted
+from orbitfinder.records.reading import Table
 from orbitfinder.records.registry import held, member
 
 if TYPE_CHECKING:
@@ -177,7 +178,7 @@ def _listed(family: of.Family, places: list[int], shown: Display, most: int = MO
         shown.say(f"and {len(places) - most} more, up to --switch {places[-1]}")
 
 
-def _asked_where(file: Path, chosen: Mapping[str, Any], shown: Display) -> None:
+def _asked_where(file: Path, chosen: Table, shown: Display) -> None:
     """`InputError` for a family without --switch, the events that it takes listed before."""
     if any(chosen[name] is not None for name in ("event", "curve", "parameters")) or not whole_family(file):
         return
@@ -189,7 +190,7 @@ def _asked_where(file: Path, chosen: Mapping[str, Any], shown: Display) -> None:
     raise InputError(f"--switch: missing; give the event to leave {family.name} at: {counted(places) or 'none'}")
 
 
-def event_words(event: Event, parameter: str, system: Mapping[str, Any]) -> str:
+def event_words(event: Event, parameter: str, system: Table) -> str:
     """An event in words: kind, where with its error bar, period."""
     kind = f"{event.kind} {event.detail}".replace("_", " ").strip()
     known = "" if event.error is None else f" (+- {event.error:.1g})"
@@ -197,13 +198,13 @@ def event_words(event: Event, parameter: str, system: Mapping[str, Any]) -> str:
     return f"{kind} at {parameter} {value}{known}, period {period}"
 
 
-def _lasting(time: float, system: Mapping[str, Any], digits: int) -> str:
+def _lasting(time: float, system: Table, digits: int) -> str:
     from orbitfinder.mechanics.scales import lasting  # which loads CasADi
 
     return lasting(time, system, digits)
 
 
-def with_unit(value: float, parameter: str, system: Mapping[str, Any]) -> str:
+def with_unit(value: float, parameter: str, system: Table) -> str:
     """A value of a family's parameter, with its unit where that is known."""
     from orbitfinder.mechanics.scales import measured
 
@@ -211,7 +212,7 @@ def with_unit(value: float, parameter: str, system: Mapping[str, Any]) -> str:
 
 
 def _optima(
-    problem: Any, parameter: str | None, values: tuple[float, ...], points: int, out: Path, chosen: Mapping[str, Any]
+    problem: Any, parameter: str | None, values: tuple[float, ...], points: int, out: Path, chosen: Table
 ) -> None:
     """The family of optima of a controlled problem."""
     if parameter is None or (chosen["until"] is None and not values):
@@ -288,7 +289,7 @@ def origin_of(file: Path, trust: bool, switch: int | str | None = None, branch: 
     return orbit, model
 
 
-def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Branch | partial[of.Equilibria]:
+def curve_of(file: Path, parameter: str | None, chosen: Table) -> Branch | partial[of.Equilibria]:
     """The start of a curve of bifurcations from a family.json, or what follows the curve from an equilibria.json.
 
     `InputError` for options that do not go together.

@@ -12,7 +12,7 @@ from orbitfinder.cli.options import FILES, finish, option, text, usual
 from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
-    from orbitfinder.problemfile.proposals import Proposal, Proposals
+    from orbitfinder.problemfile.proposals import Proposal
 
 
 @click.command()
@@ -52,7 +52,12 @@ def guess(
         if "csv" in chosen.table and out.parent.resolve() != file.parent.resolve():
             raise InputError(f"--out: {chosen.name} reads {chosen.table['csv']!r} beside {file}; write it there")
         written = write_new(candidate_text(loaded, proposals, chosen, checked_name(out.stem, "--out")), out, "--out")
-    _print(proposals)
+    text(f"{proposals.name}: {plural(len(proposals.guesses), 'starting point')}")
+    for proposal in proposals.guesses:
+        text(_line(proposal, proposals.system))
+        text(f"    {_shape(proposal)}")
+    for note in proposals.notes:
+        text(f"  none: {note}")
     if written is not None:
         text(f"{written}: written; next: orbitfinder run {written}")
     finish("guesses", {
@@ -60,15 +65,6 @@ def guess(
         "guesses": [proposal.document() for proposal in proposals.guesses], "notes": list(proposals.notes),
         "written": str(written) if written else None,
     })  # fmt: skip
-
-
-def _print(proposals: Proposals) -> None:
-    text(f"{proposals.name}: {plural(len(proposals.guesses), 'starting point')}")
-    for proposal in proposals.guesses:
-        text(_line(proposal, proposals.system))
-        text(f"    {_shape(proposal)}")
-    for note in proposals.notes:
-        text(f"  none: {note}")
 
 
 def _line(proposal: Proposal, system: Mapping[str, Any]) -> str:

@@ -195,11 +195,6 @@ def out_option(what: str, **more: Any) -> Decorator:
     return click.option("-o", "--out", type=FILES, help=what, **more)
 
 
-def trust_option(what: str = TRUST) -> Decorator:
-    """The option --trust, its help saying what is executed."""
-    return click.option("--trust", is_flag=True, help=what)
-
-
 def _remember_compile(context: click.Context, _: click.Parameter, value: str | None) -> None:
     """Put the mode where worker processes find it too, for as long as the command runs."""
     if value is None:
@@ -242,7 +237,7 @@ def usual(
         chosen.append(out_option(out, default=into, show_default=into is not None))
     if figures:
         chosen.append(option("figures/--no-figures", figures, True))
-    chosen += [compile_option] * compiled + [trust_option(trust)] * bool(trust) + [json_option] * json
+    chosen += [compile_option] * compiled + [option("trust", trust, kind=bool)] * bool(trust) + [json_option] * json
     return lambda command: functools.reduce(lambda run, add: add(run), reversed(chosen), command)
 
 

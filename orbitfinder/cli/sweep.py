@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +15,7 @@ from orbitfinder.cli.console import display, time_left
 from orbitfinder.cli.jobs import folder_of
 from orbitfinder.cli.options import FILES, Decorator, finish, option, text, trusted, usual
 from orbitfinder.errors import InputError
+from orbitfinder.records.reading import Table
 
 if TYPE_CHECKING:
     from orbitfinder.orbits.sweep import Row, Sweep
@@ -104,7 +104,7 @@ def sweep(
     finish("sweep", document, made.certified == len(made.rows))
 
 
-def placed(row: Row, system: Mapping[str, Any], digits: int) -> str:
+def placed(row: Row, system: Table, digits: int) -> str:
     """The values of a row in words."""
     from orbitfinder.mechanics.scales import measured
 
@@ -112,7 +112,7 @@ def placed(row: Row, system: Mapping[str, Any], digits: int) -> str:
     return ", ".join(f"{k} = {measured(x, told.get(k, k), system, digits)}" for k, x in row.values.items())
 
 
-def said(row: Row, system: Mapping[str, Any]) -> str:
+def said(row: Row, system: Table) -> str:
     """What became of a value, in a few words."""
     from orbitfinder.mechanics.scales import lasting
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from decimal import Decimal
 from functools import partial
@@ -33,6 +33,7 @@ from orbitfinder.cli.options import (
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.certificate import Certificate, Check, certificate_to_document
 from orbitfinder.records.codec import entries_of
+from orbitfinder.records.reading import Table
 from orbitfinder.records.registry import answer, held, kind_of, load, load_orbit, member
 
 if TYPE_CHECKING:
@@ -221,11 +222,16 @@ def prove(
         _record(file, document, record, trust)
         results.append({"file": str(file), "name": orbit.name} | document)
         _print_proof(f"{file} ({orbit.name})", proof, document)
+    _finish(results)
+
+
+def _finish(results: list[dict[str, Any]]) -> None:
+    """The document of proofs, and whether all hold."""
     passed = all(result["proved"] for result in results)
     finish("proof", {"passed": passed, "results": results}, passed)
 
 
-def _refuse(given: Mapping[str, Any], why: str) -> None:
+def _refuse(given: Table, why: str) -> None:
     """`InputError` for an option that is given and has no meaning."""
     for name in (name for name, value in given.items() if value is not None):
         raise InputError(f"--{name}: {why}, leave it out")
@@ -313,14 +319,13 @@ def _prove_branch(
         check_writable(file.parent, "--record")
         _keep_wider(target, low, high)
     model = provable_model(family.points[0], trusted(file, trust))
-    say = partial(_say, family.name)
-    branch = prove_branch(family, low, high, model, say, given.get("symmetry"))
+    branch = prove_branch(family, low, high, model, partial(_say, family.name), given.get("symmetry"))
     interrupt.check()
     if branch.proved and record:
         write_json(target, branch_document(branch))
     _print_branch(f"{file} ({family.name})", branch)
-    missed = [passage for passage in branch.passages if not passage.proved]
-    finish("proof", {"passed": branch.proved and not missed} | branch_document(branch), branch.proved and not missed)
+    passed = branch.proved and all(passage.proved for passage in branch.passages)
+    finish("proof", {"passed": passed} | branch_document(branch), passed)
 
 
 def _keep_wider(file: Path, low: float, high: float) -> None:
@@ -354,8 +359,7 @@ def _prove_rest(files: tuple[Path, ...], resting: list[Path], record: bool, trus
             CODEC.save(proof, file.with_name(f"{file.stem}-proof.json"))
         _print_rest(f"{file} ({proof.name})", proof)
         results.append({"file": str(file), "proved": proof.proved} | entries_of(proof))
-    passed = all(result["proved"] for result in results)
-    finish("proof", {"passed": passed, "results": results}, passed)
+    _finish(results)
 
 
 def _prove_connections(
@@ -382,12 +386,17 @@ def _prove_connections(
             CODEC.save(proof, file.with_name(f"{file.stem}-proof.json"))
         _print_words(f"{file} ({proof.name})", proof)
         results.append({"file": str(file)} | CODEC.document(proof))
-    passed = all(result["proved"] for result in results)
-    finish("proof", {"passed": passed, "results": results}, passed)
+    _finish(results)
 
 
 def _say(name: str, line: str) -> None:
     note(f"{name}: {line}")
+
+
+def _replayed(wrong: Sequence[str], again: Any, what: str) -> dict[str, Any]:
+    """What a proof made again says: `passed`, and `message`, a sentence."""
+    proved = f"proof replayed in {again.wall_time:.1f} s: proved, {what}"
+    return {"passed": not wrong, "message": f"proof REJECTED: {'; '.join(wrong)}" if wrong else proved}
 
 
 def _print_words(heading: str, proof: BorderedRecord | ConnectionRecord) -> None:
@@ -407,9 +416,7 @@ def verify_connection(file: Path, trust: bool = False) -> dict[str, Any]:
 
     recorded = read_connection_proof(file)
     again = replayed_connection(recorded, provable_system(recorded.system, trusted(file, trust)), note)
-    if wrong := unproved_claims(recorded, again):
-        return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
-    return {"passed": True, "message": f"proof replayed in {again.wall_time:.1f} s: proved, {again.kind}"}
+    return _replayed(unproved_claims(recorded, again), again, again.kind)
 
 
 def _print_rest(heading: str, proof: ProvedEquilibria) -> None:
@@ -429,7 +436,7 @@ def _print_rest(heading: str, proof: ProvedEquilibria) -> None:
             text(f"  {part.place}: {said}, alone within {part.radius:.0e} of its sizes; {numbers}")
 
 
-def _shown(ball: Mapping[str, Any]) -> str:
+def _shown(ball: Table) -> str:
     """A recorded ball with its digits."""
     value, within = float(ball["value"]), float(ball["radius"])
     places = 18 if not within else max(min(18, int(log10(abs(value) / within)) if value else 1), 1)
@@ -443,11 +450,9 @@ def verify_rest(file: Path, trust: bool = False) -> dict[str, Any]:
 
     recorded = CODEC.load(file)
     again, wrong = replay_equilibria(recorded, provable_system(recorded.system, trusted(file, trust)), note)
-    if wrong:
-        return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
     events = [part for part in again.parts if part.event]
     what = f"{plural(len(again.parts) - len(events), 'point')}, {plural(len(events), 'event')}"
-    return {"passed": True, "message": f"proof replayed in {again.wall_time:.1f} s: proved, {what}"}
+    return _replayed(wrong, again, what)
 
 
 def _print_branch(heading: str, branch: ProvedBranch) -> None:
@@ -471,14 +476,9 @@ def verify_branch(file: Path, trust: bool = False) -> dict[str, Any]:
 
     recorded = read_branch(file)
     again = replayed(recorded, branch_model(recorded, trusted(file, trust)), note)
-    if not again.proved:
-        return {"passed": False, "message": f"proof REJECTED: {again.reason}"}
-    wrong = contradictions(recorded, again)
-    if wrong:
-        return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
+    wrong = contradictions(recorded, again) if again.proved else [again.reason]
     borne = [passage for passage in again.passages if passage.proved]
-    what = f"{plural(len(again.pieces), 'piece')}, {plural(len(borne), 'event')}"
-    return {"passed": True, "message": f"proof replayed in {again.wall_time:.1f} s: proved, {what}"}
+    return _replayed(wrong, again, f"{plural(len(again.pieces), 'piece')}, {plural(len(borne), 'event')}")
 
 
 def _prove_event(files: tuple[Path, ...], number: int, options: Options, record: bool, trust: bool) -> None:
@@ -508,10 +508,7 @@ def verify_event(file: Path, trust: bool = False) -> dict[str, Any]:
 
     recorded = read_event(file)
     again = replayed_event(recorded, build_model(dict(recorded.system), trusted(file, trust)), note)
-    if wrong := false_claims(recorded, again):
-        return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
-    kind = again.kind.replace("_", " ")
-    return {"passed": True, "message": f"proof replayed in {again.wall_time:.1f} s: proved, {kind}"}
+    return _replayed(false_claims(recorded, again), again, again.kind.replace("_", " "))
 
 
 def _print_proof(heading: str, proof: Proof | None, document: dict[str, Any]) -> None:
@@ -545,11 +542,7 @@ def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
 
     orbit = load_orbit(file)
     proof, wrong = replay(orbit, read_entry(orbit, file), provable_model(orbit, trusted(file, trust)))
-    if wrong:
-        return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
-    assert proof.stability is not None
-    message = f"proof replayed in {proof.wall_time:.1f} s: proved, {proof.stability.verdict}"
-    return {"passed": True, "message": message}
+    return _replayed(wrong, proof, proof.stability.verdict if proof.stability else "")
 
 
 @click.command()

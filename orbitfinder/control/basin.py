@@ -9,11 +9,10 @@ mode does not hold, or that another event ends, is lost.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -31,7 +30,7 @@ from orbitfinder.mechanics.model import Model, constraint_of, vector_field
 from orbitfinder.mechanics.newton import closed, least_norm
 from orbitfinder.records.codec import plain
 from orbitfinder.records.journal import checkpoints, fill, packed, unpacked
-from orbitfinder.records.reading import content_digest
+from orbitfinder.records.reading import Table, content_digest
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ def basin(
 
     begin = 0, np.column_stack(now())
 
-    def read(entry: Mapping[str, Any]) -> tuple[int, np.ndarray]:
+    def read(entry: Table) -> tuple[int, np.ndarray]:
         return int(entry["period"]), unpacked(entry["motions"], begin[1].shape[1])
 
     with checkpoints(path, request, read) as journal:

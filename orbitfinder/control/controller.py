@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.records.certificate import Certified, certified
 from orbitfinder.records.codec import Codec, Complexes, check_shapes
+from orbitfinder.records.reading import Table
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Controller(Shown):
     _sparse = ("title",)
 
     name: str
-    system: Mapping[str, Any]
+    system: Table
     actuators: tuple[str, ...]
     period: float
     clock: bool
@@ -110,7 +110,7 @@ class Controller(Shown):
     authority: Mapping[str, float]
     certificate: Certified = None
     basin: Basin | None = None
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Table = field(default_factory=dict)
     event: str = ""
     title: str = ""
 

@@ -48,6 +48,7 @@ from orbitfinder.orbits.evidence import Recomputed, StatesAt, Tour, in_extents, 
 from orbitfinder.orbits.floquet import analyse
 from orbitfinder.orbits.measure import provenance
 from orbitfinder.records.orbit import SHARE, Orbit
+from orbitfinder.records.reading import Table
 
 SAMPLES = 12
 """Looks at the motion in each step of an interval"""
@@ -143,7 +144,7 @@ def _entry(problem: Problem, program: Program, solution: Optimum, values: Mappin
     }  # fmt: skip
 
 
-def _held_at(values: Mapping[str, float], bounds: Mapping[str, Any]) -> dict[str, int]:
+def _held_at(values: Mapping[str, float], bounds: Table) -> dict[str, int]:
     """Which of the freed numbers stand at the low (-1) or high (1) end of their range."""
     held = {}
     for name, value in values.items():
@@ -163,7 +164,7 @@ class _Controlled:
     """
 
     def __init__(
-        self, model: Model, entry: Mapping[str, Any], symmetry: str, relative: tuple[str, ...], state: np.ndarray,
+        self, model: Model, entry: Table, symmetry: str, relative: tuple[str, ...], state: np.ndarray,
         period: float,
     ) -> None:  # fmt: skip
         try:
@@ -371,7 +372,7 @@ def _value(model: Model, name: str) -> float:
 
 
 def gather_controlled(
-    model: Model, state: np.ndarray, period: float, turns: np.ndarray, entry: Mapping[str, Any], symmetry: str,
+    model: Model, state: np.ndarray, period: float, turns: np.ndarray, entry: Table, symmetry: str,
     relative: tuple[str, ...] = (), shown: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> ControlledEvidence:  # fmt: skip
     """The evidence of a recorded control, and of times and states that are `shown`. Raises `InputError`,

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections import ChainMap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -38,7 +38,7 @@ from orbitfinder.records.codec import plain
 from orbitfinder.records.family import End
 from orbitfinder.records.journal import Checkpoints, checkpoints
 from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_to_document
-from orbitfinder.records.reading import typed
+from orbitfinder.records.reading import Table, typed
 
 PACE = Pace(first=0.02, shortest=2e-7, longest=0.3, points=200, bend=0.9, growth=1.6)
 TOGETHER = 1e-6
@@ -233,7 +233,7 @@ class _Stand:
     target: float = 0.0
     value: float = 0.0
     end: End | None = None
-    orbit: Mapping[str, Any] | None = None
+    orbit: Table | None = None
     descents: int = 0
 
 

@@ -16,7 +16,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.exports.formats import TABLES
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import given_units, unit_names, units
-from orbitfinder.records.reading import finite, json_bytes, write_atomically
+from orbitfinder.records.reading import Table, finite, json_bytes, write_atomically
 from orbitfinder.records.registry import kind_of
 from orbitfinder.records.table import Tabled
 
@@ -24,9 +24,7 @@ Told = Mapping[str, tuple[str, str]]
 """The unit and the meaning of columns"""
 
 
-def table_bytes(
-    columns: Mapping[str, Any], to: str, told: Told | None = None, system: Mapping[str, Any] | None = None
-) -> bytes:
+def table_bytes(columns: Table, to: str, told: Told | None = None, system: Table | None = None) -> bytes:
     """Columns of equal length as one of `TABLES`; digits that round-trip, CSV has nothing and JSON null for what is no
     number. Parquet says the system (JSON) and what is `told` of columns in its metadata.
 
@@ -42,7 +40,7 @@ def table_bytes(
     return text.getvalue().encode()
 
 
-def _parquet(columns: Mapping[str, Any], told: Told, system: str) -> bytes:
+def _parquet(columns: Table, told: Told, system: str) -> bytes:
     try:
         import pyarrow  # noqa: PLC0415  an extra
         from pyarrow import parquet  # noqa: PLC0415  an extra
@@ -57,7 +55,7 @@ def _parquet(columns: Mapping[str, Any], told: Told, system: str) -> bytes:
     return sink.getvalue()
 
 
-def _told(columns: Mapping[str, Any], model: Model) -> Told:
+def _told(columns: Table, model: Model) -> Told:
     """The unit of each column of a system's table that has a unit."""
     words, n = units(model.system), model.degrees_of_freedom
     own = {**dict(zip(model.state_names[:n], unit_names(model), strict=True)), **given_units(model.system)}

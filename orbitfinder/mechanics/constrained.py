@@ -39,6 +39,7 @@ from orbitfinder.mechanics.lagrange import (
     strangers,
 )
 from orbitfinder.mechanics.model import Baumgarte, HolonomicConstraint, Invariant, Model, constraint_of
+from orbitfinder.records.reading import Table
 
 RANK_TOLERANCE = 1e-8
 """smallest over largest singular value of J below which a configuration counts as singular"""
@@ -56,7 +57,7 @@ def constrained(
     angles: Sequence[bool] | None = None,
     invariants: Sequence[Invariant] | None = None,
     points: ca.SX | None = None,
-    system: Mapping[str, Any] | None = None,
+    system: Table | None = None,
     controls: Sequence[str] = (),
     limits: Limits | None = None,
 ) -> Model:
@@ -233,14 +234,14 @@ class Loops:
     """(model, places (k x n)) -> chosen -> how well (k) the others follow from them, below 1 at a dead point"""
     dead: Callable[[Model, np.ndarray, Sequence[int]], str]
     """(model, place (n), chosen) -> what does not say there how the others follow, in words"""
-    whole: Callable[[Model, Mapping[str, Any], ca.SX], ca.SX]
+    whole: Callable[[Model, Table, ca.SX], ca.SX]
     """(model, a minimal form's system, its coordinates u) -> all coordinates (n)"""
     minimal: Callable[[Model, Sequence[int], np.ndarray], Model] | None = None
     """(model, chosen, near) -> the minimal form, put together as near a place (n)"""
     check: Callable[[Model, np.ndarray], None] = lambda model, place: None
     """`InputError` where the motion from an equilibrium is not determined"""
 
-    def everywhere(self, model: Model, system: Mapping[str, Any]) -> ca.Function:
+    def everywhere(self, model: Model, system: Table) -> ca.Function:
         """(u, udot) -> all coordinates (n) and their rates, of the minimal form with this system."""
         u, rate = (ca.SX.sym(name, len(system["independent"])) for name in ("u", "udot"))
         q = self.whole(model, system, u)

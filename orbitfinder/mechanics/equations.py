@@ -21,6 +21,7 @@ from orbitfinder.mechanics.kind import KINDS, SystemKind
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import with_units
+from orbitfinder.records.reading import Table
 
 Reader = Callable[[str, str], Any]
 """(text, its field) -> its value in symbols"""
@@ -116,7 +117,7 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, str) else float(value) if np.ndim(value) == 0 else list(value)
 
 
-def _form(given: Mapping[str, Any]) -> str:
+def _form(given: Table) -> str:
     """What says the equations; `InputError` for several, for none and for what has no meaning then."""
     forms = [form for form in FORMS if form in given]
     if len(forms) != 1:
@@ -129,7 +130,7 @@ def _form(given: Mapping[str, Any]) -> str:
     return forms[0]
 
 
-def _check_names(given: Mapping[str, Any], form: str, names: Sequence[str]) -> None:
+def _check_names(given: Table, form: str, names: Sequence[str]) -> None:
     """`InputError` for names that texts cannot have, and for those of two things."""
     if form == "rates" and sorted(names) != sorted(given["rates"]):
         raise InputError(f"states: {', '.join(names)}, but rates of {', '.join(given['rates'])}; name each state once")
@@ -162,7 +163,7 @@ def _head(name: str) -> tuple[str, list[str] | None]:
     return found[1], None if found[2] is None else [part.strip() for part in found[2].split(",")]
 
 
-def _check_time(given: Mapping[str, Any], form: str) -> None:
+def _check_time(given: Table, form: str) -> None:
     """`InputError` for texts that are too long, for a dependence on time without its period, and the reverse."""
     tables = {f"{key}.{name}": text for key in ("rates", "let", "forces", "invariants")
               for name, text in given.get(key, {}).items()}  # fmt: skip
@@ -200,7 +201,7 @@ class _Defined:
         return ca.substitute(self.body, ca.vertcat(*self.inputs), ca.vertcat(*given))
 
 
-def _reader(given: Mapping[str, Any], t: Any, *named: Named) -> Reader:
+def _reader(given: Table, t: Any, *named: Named) -> Reader:
     """What reads texts in these symbols and in what is defined by them."""
     values, calls, spent = {"t": t}, dict[str, _Defined](), [0]
     for each in named:
@@ -229,7 +230,7 @@ def _ordered(let: Mapping[str, str]) -> Iterable[str]:
         raise InputError(f"let.{error.args[1][0]}: is defined by itself ({circle}); break the circle") from None
 
 
-def _clock(given: Mapping[str, Any]) -> Callable[[Named], Any] | float | None:
+def _clock(given: Table) -> Callable[[Named], Any] | float | None:
     """The period of the forcing as Models take it."""
     period = given.get("period")
     if not isinstance(period, str):
@@ -237,7 +238,7 @@ def _clock(given: Mapping[str, Any]) -> Callable[[Named], Any] | float | None:
     return lambda p: expression(period, dict(zip(p.names, p, strict=True)), "period")
 
 
-def _first_order(find: bool, given: Mapping[str, Any], names: Sequence[str]) -> Model:
+def _first_order(find: bool, given: Table, names: Sequence[str]) -> Model:
     def field(t: Any, x: Named, p: Named) -> list[Any]:
         read = _reader(given, t, x, p)
         return [read(given["rates"][name], f"rates.{name}") for name in names]
@@ -245,17 +246,17 @@ def _first_order(find: bool, given: Mapping[str, Any], names: Sequence[str]) -> 
     return ode(field, names, given["parameters"], find_invariants=find, **_common(given))
 
 
-def _common(given: Mapping[str, Any]) -> dict[str, Any]:
+def _common(given: Table) -> dict[str, Any]:
     """What states say beside their equations."""
     invariants = {name: partial(_integral, given, name, text) for name, text in given.get("invariants", {}).items()}
     return dict(invariants=invariants, angles=given.get("angles", ()), forcing_period=_clock(given), system=given)
 
 
-def _integral(given: Mapping[str, Any], name: str, text: str, x: Named, p: Named) -> Any:
+def _integral(given: Table, name: str, text: str, x: Named, p: Named) -> Any:
     return _reader(given, ca.SX.sym("t"), x, p)(text, f"invariants.{name}")
 
 
-def _hamiltonian(given: Mapping[str, Any], names: Sequence[str]) -> Model:
+def _hamiltonian(given: Table, names: Sequence[str]) -> Model:
     def energy(*at: Any) -> Any:
         return _reader(given, *(ca.SX.sym("t"), *at)[-3:])(given["hamiltonian"], "hamiltonian")
 
@@ -263,7 +264,7 @@ def _hamiltonian(given: Mapping[str, Any], names: Sequence[str]) -> Model:
     return hamiltonian(energy, coordinates, names[len(coordinates) :], given["parameters"], **_common(given))
 
 
-def _lagrange(given: Mapping[str, Any], names: Sequence[str]) -> Model:
+def _lagrange(given: Table, names: Sequence[str]) -> Model:
     t, parameters = ca.SX.sym("t"), given["parameters"]
     rates = [f"{name}dot" for name in names]
     q, v, p = (ca.vertcat(*map(ca.SX.sym, each)) for each in (names, rates, parameters))
@@ -281,7 +282,7 @@ def _lagrange(given: Mapping[str, Any], names: Sequence[str]) -> Model:
     )  # fmt: skip
 
 
-def _build(system: Mapping[str, Any], _: Path | None) -> Model:
+def _build(system: Table, _: Path | None) -> Model:
     """The Model of a description, with no other invariants than those in it unless a problem file lets find them."""
     try:
         return equations(**{"find_invariants": False} | {key: value for key, value in system.items() if key != "kind"})

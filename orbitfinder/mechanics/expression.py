@@ -18,6 +18,7 @@ from typing import Any
 import casadi as ca
 
 from orbitfinder.errors import InputError, closest, shortened
+from orbitfinder.records.reading import Table
 
 
 def _either(condition: Any, this: Any, that: Any) -> Any:
@@ -46,9 +47,7 @@ _OPERATIONS: dict[type[ast.AST], Callable[..., Any]] = {
 }  # fmt: skip
 
 
-def expression(
-    text: str, known: Mapping[str, Any], where: str, calls: Mapping[str, Callable[..., Any]] | None = None
-) -> Any:
+def expression(text: str, known: Table, where: str, calls: Mapping[str, Callable[..., Any]] | None = None) -> Any:
     """The value of a text in these names (numbers or symbols) and with further `calls`, of 1 argument or as many as
     their attribute `count` says; `InputError` begins with `where`."""
     if not isinstance(text, str) or not text.strip() or len(text) > LONGEST or "#" in text:
@@ -72,7 +71,7 @@ class _Reading:
     """A text that is worked out, with what its names and calls mean."""
 
     source: str
-    known: Mapping[str, Any]
+    known: Table
     where: str
     calls: Mapping[str, Callable[..., Any]]
     counts: Mapping[str, tuple[int, int]]

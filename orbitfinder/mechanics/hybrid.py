@@ -24,6 +24,7 @@ from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.first_order import Named, in_symbols
 from orbitfinder.mechanics.model import PART_OF, Model, altered
 from orbitfinder.records.orbit import SHARE
+from orbitfinder.records.reading import Table
 
 Expression = Callable[[Named, Named], Any]
 """(x, p) -> an expression of the state and the parameters, which have names: x.theta, p.slope"""
@@ -98,7 +99,7 @@ class Mode:
 
     name: str
     model: Model
-    holds: Mapping[str, Any] = None  # type: ignore[assignment]
+    holds: Table = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True)
@@ -229,7 +230,7 @@ def hybrid(
     cycle: Sequence[str] | None = None,
     *,
     conserved: Sequence[str] = (),
-    system: Mapping[str, Any] | None = None,
+    system: Table | None = None,
     ground: Expression | None = None,
     controls: Sequence[str] = (),
     limits: Limits | None = None,
@@ -313,7 +314,7 @@ def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
     return altered(made, parameter_values=numbers, hybrid=at_numbers(built, numbers), **controls)  # type: ignore[arg-type]
 
 
-def as_recorded(model: Model, system: Mapping[str, Any]) -> Model:
+def as_recorded(model: Model, system: Table) -> Model:
     """The same system, a hybrid one with the cycle that the description of an orbit names."""
     return with_cycle(model, system["cycle"]) if not model.smooth and "cycle" in system else model
 

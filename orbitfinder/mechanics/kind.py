@@ -30,6 +30,7 @@ from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
 from orbitfinder.mechanics.model import Model, altered
 from orbitfinder.mechanics.scales import with_scales, with_units
 from orbitfinder.records.orbit import system_at
+from orbitfinder.records.reading import Table
 
 BUILT_IN = "orbitfinder.systems"
 """The module whose functions everybody may name"""
@@ -45,9 +46,9 @@ _models = Kept[Model](8)
 class SystemKind:
     """What a kind of [system] says of itself: every question about kinds is answered by an entry of this table."""
 
-    build: Callable[[Mapping[str, Any], Path | None], Model]
+    build: Callable[[Table, Path | None], Model]
     """(system, folder that is trusted) -> the Model"""
-    words: Callable[[Mapping[str, Any]], str] = lambda system: str(system.get("kind"))
+    words: Callable[[Table], str] = lambda system: str(system.get("kind"))
     """the kind of mechanism in two or three words, for captions"""
     described: bool = True
     """whether the description is all that it is made of"""
@@ -59,13 +60,13 @@ class SystemKind:
     """whether its description is read again where a parameter changes"""
     pendulum: bool = False
     """whether links hang on each other: each coordinate enters V as -c cos theta, with c > 0 at rest"""
-    joints: Callable[[Mapping[str, Any]], int] = lambda system: 0
+    joints: Callable[[Table], int] = lambda system: 0
     """how many joints may have motors by their number"""
     drawn: bool = False
     """whether it is drawn: bodies and joints, near a pose, at a pace of its own"""
     loops: Loops | None = None
     """how its loops are closed, where that is not as any constraint's are"""
-    with_content: Callable[[Mapping[str, Any], Path], Mapping[str, Any]] = lambda system, folder: system
+    with_content: Callable[[Table, Path], Table] = lambda system, folder: system
     """(system, a problem file's folder) -> the same with the content of the files that it names"""
     motion: Callable[[Model], Callable[..., Any] | None] = lambda model: None
     """(model) -> what integrates it for certificates by equations of its own, as `orbits.evidence.canonical_motion`"""
@@ -75,7 +76,7 @@ class SystemKind:
     """(model) -> what of them a compiler may begin with"""
 
 
-def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
+def build_model(system: Table, trusted: Path | None = None) -> Model:
     """The Model that a description stands for; of a linkage the one in maximal coordinates, or (with
     `independent` bars and `branch`) the minimal one; of a mechanism with loops the native DAE, or (with
     `independent` coordinates) the minimal one; of a chain with `baumgarte` terms the native DAE.
@@ -94,14 +95,14 @@ def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model
         raise InputError(f"system: {error}; compare with a freshly written orbit.json") from error
 
 
-def _built(kind: SystemKind, system: Mapping[str, Any], trusted: Path | None) -> Model:
+def _built(kind: SystemKind, system: Table, trusted: Path | None) -> Model:
     bare = {key: value for key, value in system.items() if key != "units"}
     model = kind.build(bare, trusted)
     check(f"SystemKind {system.get('kind')!r}, build", "Model", model)
     return with_units(model, system.get("units"))
 
 
-def system_kind(system: Mapping[str, Any]) -> SystemKind:
+def system_kind(system: Table) -> SystemKind:
     """What a description's kind says of itself."""
     return kinds().get(str(system.get("kind")), OTHER)
 
@@ -112,12 +113,12 @@ def kinds() -> Mapping[str, SystemKind]:
     return KINDS
 
 
-def loops_of(system: Mapping[str, Any]) -> Loops:
+def loops_of(system: Table) -> Loops:
     """How the loops of a system under constraints are closed."""
     return system_kind(system).loops or CLOSING[""]
 
 
-def _unknown(system: Mapping[str, Any], _: Path | None) -> Model:
+def _unknown(system: Table, _: Path | None) -> Model:
     raise InputError(
         f"system.kind: cannot rebuild {system.get('kind')!r} from a file; in Python give the Model itself (model=...), "
         "and for commands find the orbit by a program with problem() (run FILE.py --trust), or by a problem file "
@@ -125,7 +126,7 @@ def _unknown(system: Mapping[str, Any], _: Path | None) -> Model:
     )
 
 
-def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
+def python_model(system: Table, trusted: Path | None = None) -> Model:
     """The Model of a `kind = "python"` description {module, function, arguments}.
 
     `orbitfinder.systems` is always allowed and only its registered functions are. With `trusted`
@@ -161,7 +162,7 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
     return with_cycle(model, system["cycle"]) if "cycle" in system else model
 
 
-def _check_arguments(where: str, function: Callable[..., Any], given: Mapping[str, Any], model: Model) -> None:
+def _check_arguments(where: str, function: Callable[..., Any], given: Table, model: Model) -> None:
     """`InputError` for numbers under other names than the Model's parameters, which files could not give back."""
     taken = inspect.signature(function).parameters
     if any(each.kind is each.VAR_KEYWORD for each in taken.values()):
@@ -192,15 +193,13 @@ def neighbours(folder: Path | None) -> Iterator[None]:
                 del sys.modules[name]
 
 
-def described(
-    system: Mapping[str, Any], module: str, function: str, arguments: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
+def described(system: Table, module: str, function: str, arguments: Table | None = None) -> dict[str, Any]:
     """The description of a system that a module's function makes, with what else (a cycle) was said of it."""
     made = {"kind": "python", "module": module, "function": function, "arguments": dict(arguments or {})}
     return {**system, **made}
 
 
-def _controlled(model: Model, system: Mapping[str, Any]) -> Model:
+def _controlled(model: Model, system: Table) -> Model:
     """The Model with the controls and limits that a description gives, its own without."""
     given = {name: system[name] for name in ("controls", "limits") if name in system}
     if not given:
@@ -311,7 +310,7 @@ NAMES = {"henon_heiles": "Hénon-Heiles", "van_der_pol": "Van der Pol", "duffing
          "forced_duffing": "forced Duffing", "restricted_three_body": "restricted three-body"}  # fmt: skip
 
 
-def _function(system: Mapping[str, Any]) -> str:
+def _function(system: Table) -> str:
     name = str(system.get("function", "python"))
     name = str(system.get("module", name)) if name == PROBLEM else name  # the program of a Python problem file
     return NAMES.get(name, name.replace("_", " "))

@@ -17,6 +17,7 @@ from orbitfinder.mechanics.controls import Limits, checked_controls, checked_lim
 from orbitfinder.mechanics.factorise import acceleration_function
 from orbitfinder.mechanics.model import Drive, Dynamics, Invariant, Mechanics, Model, Structure, altered
 from orbitfinder.mechanics.scales import with_scales, with_units
+from orbitfinder.records.reading import Table
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,7 @@ def lagrange(
     points: ca.SX | None = None,
     centres: ca.SX | None = None,
     strokes: Sequence[tuple[str, tuple[int, ...]]] = (),
-    system: Mapping[str, Any] | None = None,
+    system: Table | None = None,
     symmetries: Mapping[str, Sequence[int]] | None = None,
     scales: Mapping[str, float] | None = None,
     controls: Sequence[str] = (),
@@ -281,7 +282,7 @@ def mechanical_model(
     names: Sequence[str],
     *,
     invariants: Sequence[Invariant],
-    system: Mapping[str, Any] | None = None,
+    system: Table | None = None,
     controls: Sequence[str] = (),
     limits: Limits | None = None,
     **parts: Any,

@@ -23,8 +23,8 @@ from orbitfinder.mechanics.factorise import solve_positive_definite
 from orbitfinder.mechanics.lagrange import Symbols, Terms, energy_invariant, mechanical_model
 from orbitfinder.mechanics.model import Model, constraint_of
 from orbitfinder.mechanics.newton import closed
+from orbitfinder.records.reading import Table
 
-Table = Mapping[str, Any]
 HOMOTOPY, FINAL = 20, 3
 """Newton steps along the way from the pose to a place, and at the place, of the minimal form"""
 LEAST_SHARE = 5e-3

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from orbitfinder.mechanics.kind import CLOSING, FUNCTIONS, KINDS, SystemKind
 from orbitfinder.mechanics.model import Model
@@ -17,41 +16,42 @@ from orbitfinder.mechanisms.driven import DRIVEN
 from orbitfinder.mechanisms.linkage import LOOPS, linkage, minimal_linkage
 from orbitfinder.mechanisms.machines import MACHINES
 from orbitfinder.mechanisms.mechanism import mechanism
+from orbitfinder.records.reading import Table
 
 
-def _built(builder: Callable[..., Model], system: Mapping[str, Any], *without: str) -> Model:
+def _built(builder: Callable[..., Model], system: Table, *without: str) -> Model:
     return builder(**{key: value for key, value in system.items() if key not in ("kind", *without)})
 
 
-def _chain(system: Mapping[str, Any], _: Path | None) -> Model:
+def _chain(system: Table, _: Path | None) -> Model:
     return _built(chain_dae, system, "formulation") if "baumgarte" in system else _built(chain, system)
 
 
-def _linkage(system: Mapping[str, Any], _: Path | None) -> Model:
+def _linkage(system: Table, _: Path | None) -> Model:
     model = _built(linkage, system, "independent", "branch")
     chosen = system.get("independent")
     return model if chosen is None else minimal_linkage(model, chosen, system.get("branch", 1))
 
 
-def _mechanism(system: Mapping[str, Any], _: Path | None) -> Model:
+def _mechanism(system: Table, _: Path | None) -> Model:
     model = _built(mechanism, system, "independent")
     return minimal_mechanism(model, system["independent"]) if "independent" in system else model
 
 
-def _pendulum(system: Mapping[str, Any]) -> str:
+def _pendulum(system: Table) -> str:
     links = str(system.get("links"))
     words = {"1": "single", "2": "double", "3": "triple", "4": "quadruple", "5": "quintuple", "6": "sextuple"}
     return f"{words.get(links, f'{links}-link')} pendulum"
 
 
-def _bars(system: Mapping[str, Any]) -> str:
+def _bars(system: Table) -> str:
     lengths = system.get("length")
     bars = len(lengths) + 1 if isinstance(lengths, list) else 0
     words = {3: "three-bar", 4: "four-bar", 5: "five-bar", 6: "six-bar", 7: "seven-bar", 8: "eight-bar"}
     return f"{words.get(bars, f'{bars}-bar')} linkage"
 
 
-def _drawn(system: Mapping[str, Any]) -> str:
+def _drawn(system: Table) -> str:
     return f"{'spatial' if system.get('dimension') == 3 else 'planar'} mechanism"
 
 

@@ -22,6 +22,7 @@ from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Baumgarte, Model, check_state, constraint_of
 from orbitfinder.mechanics.newton import Settings, closed
 from orbitfinder.mechanisms.chain import ChainSymbols, Numbers, baumgarte_of, chain_symbols, chain_system, maximal_chain
+from orbitfinder.records.reading import Table
 
 CLOSING = Settings(floor=1e-13, round_off=1e-13, converged=1e-13, longest=0.5)
 """How an assembly is closed: gaps over the perimeter, steps in rad"""
@@ -104,7 +105,7 @@ def linkage(
     return maximal_chain(symbols, system, stabilisation, ground=symbols.arguments[-1][-2:])
 
 
-def linkage_symbols(system: Mapping[str, Any]) -> ChainSymbols:
+def linkage_symbols(system: Table) -> ChainSymbols:
     """The chain's symbols with the ground pivot as two more parameters, ground1 (down), ground2 (right)."""
     open_chain = chain_symbols({**system, "links": len(system["length"])})
     return replace(
@@ -392,7 +393,7 @@ def _triangle(gap: ca.SX, first: ca.SX, second: ca.SX, branch: int) -> tuple[ca.
     return angle, ca.atan2(elbow[1], elbow[0])
 
 
-def _in_all(model: Model, system: Mapping[str, Any], u: ca.SX) -> ca.SX:
+def _in_all(model: Model, system: Table, u: ca.SX) -> ca.SX:
     """The native coordinates (3n) of the minimal form with this system."""
     p, lift = ca.SX(model.parameter_values), constraint_of(model).lift
     theta = _bar_angles(model, u, p, system["independent"], system["branch"])

@@ -39,8 +39,9 @@ from orbitfinder.mechanics.lagrange import (
 )
 from orbitfinder.mechanics.model import Baumgarte, Model
 from orbitfinder.mechanics.scales import with_units
-from orbitfinder.mechanisms.closing import LoopClosure, Table, independent_rows_at, point_sizes
+from orbitfinder.mechanisms.closing import LoopClosure, independent_rows_at, point_sizes
 from orbitfinder.mechanisms.shapes import undescribed
+from orbitfinder.records.reading import Table
 
 GROUND = "ground"
 KEYS = {
@@ -315,7 +316,7 @@ def mechanism(
     return with_units(replace(made, scales={k: float(v) for k, v in (scales or {}).items()}), units)
 
 
-def _description(tables: Mapping[str, Any], gravity: Any, dimension: Any, redundant: Any) -> dict[str, Any]:
+def _description(tables: Table, gravity: Any, dimension: Any, redundant: Any) -> dict[str, Any]:
     """The tables as plain data, checked for shape; what was not given is left out."""
     if dimension not in (2, 3):
         raise InputError(f"dimension: must be 2 (the plane) or 3 (space), got {dimension!r}")

@@ -19,7 +19,7 @@ from orbitfinder.errors import InputError, closest, shortened
 from orbitfinder.mechanics.kind import KINDS, SystemKind
 from orbitfinder.mechanics.lagrange import Symbols, Terms, coordinate_names, detected_invariants, mechanical_model
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.reading import file_beside, file_bytes, npz_members
+from orbitfinder.records.reading import Table, file_beside, file_bytes, npz_members
 
 Matrix = Any
 """Dense, SciPy's sparse, the path of a Matrix Market (.mtx) or NumPy file (.npz), or Matrix Market text"""
@@ -343,7 +343,7 @@ class _Written:
         self.potential, self.inner, self.outer = ca.SX(0), ca.SX(size, 1), ca.SX(size, 1)
         self.clock: Any = None
 
-    def add(self, name: str, given: Mapping[str, Any]) -> None:
+    def add(self, name: str, given: Table) -> None:
         """One element. Raises `InputError`."""
         where, kind = f"elements.{name}", given.get("kind")
         if not str(name).isidentifier():
@@ -375,7 +375,7 @@ class _Written:
                 self.outer[i] -= sign * force
         self.potential += element.potential(d, *numbers) if element.potential else 0
 
-    def drive(self, given: Mapping[str, Any]) -> None:
+    def drive(self, given: Table) -> None:
         """The harmonic load. Raises `InputError`."""
         if unknown := [key for key in given if key not in ("at", "amplitude", "frequency", "phase")]:
             raise InputError(f"forcing.{unknown[0]}: unknown; give at, amplitude, frequency and phase")
@@ -437,19 +437,19 @@ def _number(where: str, value: Any) -> float:
     return float(value)
 
 
-def _files(system: Mapping[str, Any]) -> dict[str, str]:
+def _files(system: Table) -> dict[str, str]:
     """The files that matrices of a description are in, by name."""
     given = {name: system.get(name) for name in MATRICES}
     return {name: text for name, text in given.items() if isinstance(text, str) and not _is_text(text)}
 
 
-def _built(system: Mapping[str, Any], _: Path | None) -> Model:
+def _built(system: Table, _: Path | None) -> Model:
     for name, file in _files(system).items():
         raise InputError(f"{name}: {file!r} is a file, and a record has its content; read the problem file")
     return structure(**{"damping": None} | {key: value for key, value in system.items() if key != "kind"})
 
 
-def _with_content(system: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def _with_content(system: Table, folder: Path) -> dict[str, Any]:
     """The description of a problem file in a folder, with the matrices that its files hold."""
     beside = {name: file_beside(folder, file, name) for name, file in _files(system).items()}
     return {**system, **{name: market(_matrix(name, path)) for name, path in beside.items()}}

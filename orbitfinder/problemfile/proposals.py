@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +16,7 @@ from orbitfinder.mechanics.model import energy, wrapped
 from orbitfinder.orbits.guesses.modes import linkage_equilibrium, normal_mode, normal_modes
 from orbitfinder.orbits.guesses.returns import close_returns, recurrences
 from orbitfinder.problemfile.read import ProblemFile
+from orbitfinder.records.reading import Table
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,8 @@ class Proposal:
     energy: float | None
     miss: float | None
     state: tuple[float, ...]
-    table: Mapping[str, Any]
-    details: Mapping[str, Any] = field(default_factory=dict)
+    table: Table
+    details: Table = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         """The entry of `--json`."""
@@ -50,7 +51,7 @@ class Proposals:
     state_names: Sequence[str]
     guesses: Sequence[Proposal]
     notes: Sequence[str]
-    system: Mapping[str, Any]
+    system: Table
 
     def named(self, pick: str | None) -> Proposal:
         """The proposal of that name; the closest return, else the slowest mode, where none is given."""
@@ -169,8 +170,8 @@ def missed(loaded: ProblemFile, states: np.ndarray) -> float:
 
 
 def _proposal(
-    loaded: ProblemFile, name: str, guess: Guess, miss: float | None, table: Mapping[str, Any],
-    details: Mapping[str, Any],
+    loaded: ProblemFile, name: str, guess: Guess, miss: float | None, table: Table,
+    details: Table,
 ) -> Proposal:  # fmt: skip
     state = np.asarray(guess.state, float)
     level = energy(loaded.model, state) if loaded.model.conservative else None

@@ -12,6 +12,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.kind import OTHER, system_kind
 from orbitfinder.problemfile.proposals import Proposal, Proposals
 from orbitfinder.problemfile.read import ProblemFile, checked_name
+from orbitfinder.records.reading import Table
 
 TEMPLATE = """# The documentation's page "Problem file" (docs/problem-file.md) explains every key.
 # SI units, angles in rad from the downward vertical.
@@ -82,13 +83,13 @@ def said(proposal: Proposal) -> str:
     return f"{proposal.name}: period {proposal.period:.6g} s{level}{missing}"
 
 
-def orbit_name(document: Mapping[str, Any]) -> str:
+def orbit_name(document: Table) -> str:
     """The name of an orbit document as a problem file may have it."""
     name = re.sub(r"[^A-Za-z0-9_.-]+", "-", str(document["name"])).lstrip(".-")[:100]
     return re.sub(r"\.\.+", ".", name) or "orbit"
 
 
-def orbit_text(document: Mapping[str, Any], expected: bool = True) -> str | None:
+def orbit_text(document: Table, expected: bool = True) -> str | None:
     """A problem file whose guess is the orbit of a document; None where no file can describe the system.
 
     The pin is as recorded; of an orbit without any, the energy where it is conserved. Its period is
@@ -116,7 +117,7 @@ def orbit_text(document: Mapping[str, Any], expected: bool = True) -> str | None
     return "\n".join(lines) + "\n"
 
 
-def _find(document: Mapping[str, Any]) -> dict[str, Any]:
+def _find(document: Table) -> dict[str, Any]:
     provenance = document.get("provenance") or {}
     pin = provenance.get("pin")
     if not isinstance(pin, Mapping):
@@ -132,7 +133,7 @@ def _find(document: Mapping[str, Any]) -> dict[str, Any]:
     return chosen | {"tolerance": float(document.get("tolerance", 1e-12))}
 
 
-def _control(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _control(entry: Table) -> dict[str, Any]:
     """The `[control]` of a controlled orbit, which begins at its own coefficients."""
     same = ("shape", "intervals", "harmonics", "average", "final", "method", "numbers")
     return {
@@ -148,7 +149,7 @@ def _line(text: Any) -> str:
     return "".join(letter if letter.isprintable() else " " for letter in str(text))[:300]
 
 
-def entries(table: Mapping[str, Any]) -> list[str]:
+def entries(table: Table) -> list[str]:
     """The lines of a TOML table."""
     return [f"{_key(str(key))} = {toml(value)}" for key, value in table.items()]
 

@@ -13,7 +13,7 @@ M. G. Crandall, P. H. Rabinowitz, J. Funct. Anal. 8 (1971) 321-340.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from operator import eq
 from pathlib import Path
@@ -85,6 +85,7 @@ from orbitfinder.proof.trajectory import horizon, minimal_period, positive_mass
 from orbitfinder.records.codec import Codec, plain
 from orbitfinder.records.family import Event, Family
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.reading import Table
 
 
 def twists(kind: str, reverses: bool) -> list[tuple[int, int]]:
@@ -264,7 +265,7 @@ class BorderedRecord(Versioned):
     _entries = (..., "wall_time", "versions")
 
     name: str
-    system: Mapping[str, Any]
+    system: Table
     parameter: str
     kind: str
     symmetry: str
@@ -282,11 +283,11 @@ class BorderedRecord(Versioned):
     proved: bool = False
     reason: str = ""
     contraction: float = float("nan")
-    value: Mapping[str, Any] = field(default_factory=dict)
-    energy: Mapping[str, Any] | None = None
-    period: Mapping[str, Any] = field(default_factory=dict)
-    state: tuple[Mapping[str, Any], ...] = ()
-    tangent: tuple[Mapping[str, Any], ...] = ()
+    value: Table = field(default_factory=dict)
+    energy: Table | None = None
+    period: Table = field(default_factory=dict)
+    state: tuple[Table, ...] = ()
+    tangent: tuple[Table, ...] = ()
     side: str = ""
     wall_time: float = 0.0
 

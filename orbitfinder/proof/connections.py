@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import eq
@@ -95,6 +95,7 @@ from orbitfinder.proof.trajectory import (
     trajectory,
 )
 from orbitfinder.records.codec import Codec, Unknown, plain
+from orbitfinder.records.reading import Table
 
 THIN, START, GROWTH, NEAR = 2.0**-4, 1e-10, 30.0, 1e-8
 """The box across a local manifold, of its length; how far from its orbit a motion begins, in the orbit's extents (the
@@ -125,8 +126,8 @@ class ProvedEnd:
     slope: float = 0.0
     lap: float = 0.0
     slack: float = 0.0
-    period: Mapping[str, Any] = field(default_factory=dict)
-    multipliers: tuple[tuple[Mapping[str, Any], ...], ...] = ()
+    period: Table = field(default_factory=dict)
+    multipliers: tuple[tuple[Table, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,7 @@ class ConnectionRecord(Versioned):
 
     name: str
     homoclinic: bool
-    system: Mapping[str, Any]
+    system: Table
     state_names: tuple[str, ...]
     component: int
     level: float
@@ -160,9 +161,9 @@ class ConnectionRecord(Versioned):
     proved: bool = False
     reason: str = ""
     contraction: float = float("nan")
-    state: tuple[Mapping[str, Any], ...] = ()
-    places: tuple[Mapping[str, Any], ...] = ()
-    durations: tuple[Mapping[str, Any], ...] = ()
+    state: tuple[Table, ...] = ()
+    places: tuple[Table, ...] = ()
+    durations: tuple[Table, ...] = ()
     wall_time: float = 0.0
 
     @property
@@ -543,7 +544,7 @@ class _ConnectionProof:
         if not all(tau > 0 for tau in box[-2:]):
             raise NotProved("the motion could last no time")
 
-        def wide(ball: Any) -> Mapping[str, Any]:
+        def wide(ball: Any) -> Table:
             return enclosure(ball, digits, margin)
 
         def known(end: ProvedEnd, path: Trajectory, multipliers: list[Any]) -> ProvedEnd:

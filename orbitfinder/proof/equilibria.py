@@ -59,6 +59,7 @@ from orbitfinder.proof.series import BALLS
 from orbitfinder.proof.theorem import NotProved, Options, Progress, provable_system
 from orbitfinder.proof.trajectory import positive_definite
 from orbitfinder.records.codec import Codec
+from orbitfinder.records.reading import Table
 
 BITS, NEWTON, SHARPER, LEAST = 160, 12, 20, 1e-30
 """Precision; Newton's steps to a centre; how often the operator is applied to its own image; recorded balls are wider
@@ -96,12 +97,12 @@ class ProvedRest(Shown):
     reason: str = ""
     radius: float = 0.0
     contraction: float = 0.0
-    value: Mapping[str, Any] | None = None
-    state: tuple[Mapping[str, Any], ...] = ()
-    eigenvalues: tuple[tuple[Mapping[str, Any], ...], ...] = ()
+    value: Table | None = None
+    state: tuple[Table, ...] = ()
+    eigenvalues: tuple[tuple[Table, ...], ...] = ()
     stability: str = ""
     vector: tuple[float, ...] = ()
-    known: Mapping[str, Any] | None = None
+    known: Table | None = None
     criticality: str = ""
 
     @property
@@ -127,7 +128,7 @@ class ProvedEquilibria(Shown, Versioned):
     _entries = (..., "wall_time", "versions", "parts")
 
     name: str
-    system: Mapping[str, Any]
+    system: Table
     parameter: str
     events: tuple[str, ...] = ()
     parts: tuple[ProvedRest, ...] = ()
@@ -577,7 +578,7 @@ def _normal_form(
     return crossing, (whole / weight).real / (2 * omega * squared)
 
 
-def _named(recorded: Mapping[str, Any] | None, fresh: Mapping[str, Any] | None) -> bool:
+def _named(recorded: Table | None, fresh: Table | None) -> bool:
     """Whether every named ball is inside what is recorded."""
     old, new = recorded or {}, fresh or {}
     return old.keys() == new.keys() and all(holds(old[key], new[key]) for key in new)

@@ -23,7 +23,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Versioned, arb, precision, why_not
 from orbitfinder.proof.theorem import STATEMENT, NotProved, Options, Progress, Proof, provable_model, proved_until
 from orbitfinder.records.orbit import Orbit, read_document, recorded_proof
-from orbitfinder.records.reading import read_as, write_json
+from orbitfinder.records.reading import Table, read_as, write_json
 
 Record = TypeVar("Record")
 Same = Callable[[Any, Any], bool]
@@ -42,7 +42,7 @@ def enclosure(ball: Any, digits: int = DIGITS, margin: float = 1.0) -> dict[str,
     return {"value": text, "radius": margin * math.nextafter(float(apart), math.inf)}
 
 
-def in_digits(ball: Mapping[str, Any]) -> str:
+def in_digits(ball: Table) -> str:
     """A recorded ball with the digits that it is good for."""
     places = min(max(0, 1 - math.floor(math.log10(ball["radius"]))), DIGITS)
     return f"{Decimal(ball['value']):.{places}f} +/- {ball['radius']:.1g}"
@@ -94,7 +94,7 @@ def proved_entry(orbit: Orbit, folder: str | None, options: Options) -> dict[str
     return entry(proved_until(lambda proof: True, orbit, provable_model(orbit, home(folder)), options, None))
 
 
-def write_entry(path: Path, proof: Mapping[str, Any]) -> None:
+def write_entry(path: Path, proof: Table) -> None:
     """Put the entry into an orbit.json; everything else in the file, its digest included, stays as it is.
 
     Raises `InputError` where the file holds another orbit by now.
@@ -105,7 +105,7 @@ def write_entry(path: Path, proof: Mapping[str, Any]) -> None:
     write_json(path, document)
 
 
-def read_entry(orbit: Orbit, path: Path) -> Mapping[str, Any]:
+def read_entry(orbit: Orbit, path: Path) -> Table:
     """The entry of an orbit, read from a path. `InputError` when there is none, or it is of another theorem."""
     recorded = orbit.proof
     if recorded is None:
@@ -135,12 +135,12 @@ class Recorded:
     phase: float
     distance: float
     period_distance: float
-    minimal_period: Mapping[str, Any]
+    minimal_period: Table
     stability: str
     stability_reason: str
 
 
-def options_of(recorded: Mapping[str, Any]) -> Options:
+def options_of(recorded: Table) -> Options:
     """The options that a recorded proof was made with. Raises `InputError`."""
     known = read_as(Recorded, recorded, "proof: malformed entry", "prove the orbit again")
     if known.proved and not known.enclosure_radius <= known.box_radius:
@@ -170,7 +170,7 @@ def checked(options: Options) -> Options:
 
 
 def replay(
-    orbit: Orbit, recorded: Mapping[str, Any], model: Model | None = None, progress: Progress | None = None
+    orbit: Orbit, recorded: Table, model: Model | None = None, progress: Progress | None = None
 ) -> tuple[Proof, list[str]]:
     """The proof done again with the recorded settings, and every recorded claim that it does not prove.
 
@@ -189,9 +189,7 @@ def replay(
     return proof, list((wrong or {}).values()) if proof.proved else [proof.reason]
 
 
-def contradictions(
-    recorded: Mapping[str, Any], fresh: Mapping[str, Any], compared: Mapping[str, Same] | None = None
-) -> dict[str, str]:
+def contradictions(recorded: Table, fresh: Table, compared: Mapping[str, Same] | None = None) -> dict[str, str]:
     """What is wrong with each claim of a recorded entry that the proof done again, written as found, does not prove;
     `compared` says which claims there are and how they are told, `COMPARED` if absent."""
     return {
@@ -235,7 +233,7 @@ def at_least(recorded: Any, fresh: float) -> bool:
     return isinstance(recorded, float) and 0 < recorded <= fresh * (1 + 1e-6)
 
 
-def _minimal(recorded: Any, fresh: Mapping[str, Any]) -> bool:
+def _minimal(recorded: Any, fresh: Table) -> bool:
     """True when the period was recorded as minimal, proved against no more divisors than now, but for round-off: those
     up to fewer are excluded as well. Longer steps leave more of them to be looked at."""
     divisors = recorded.get("divisors_excluded_up_to")

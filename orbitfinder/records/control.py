@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.records.reading import typed
+from orbitfinder.records.reading import Table, typed
 
 DEGREES = {"zero-order": 0, "linear": 1, "cubic": 3}
 """Of the splines that controls may be"""
@@ -29,7 +29,7 @@ class _ControlEntry:
     cost_of: str
     average: bool
     final: str
-    tasks: tuple[Mapping[str, Any], ...]
+    tasks: tuple[Table, ...]
     points: int
     method: str
     free: tuple[str, ...]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import re
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import pairwise
@@ -30,6 +30,7 @@ from orbitfinder.records.ends import unknown_end
 from orbitfinder.records.journal import append_line, read_lines
 from orbitfinder.records.orbit import Orbit, incomputable, system_at
 from orbitfinder.records.reading import (
+    Table,
     arrays,
     content_digest,
     json_file,
@@ -64,7 +65,7 @@ CURVE: dict[str, Any] = {
 """Entries of a family's curve that others than its solver read"""
 
 
-def check_curve(curve: Mapping[str, Any]) -> None:
+def check_curve(curve: Table) -> None:
     """`ValueError` about an entry of a curve that is not of its kind."""
     for name in CURVE.keys() & curve.keys():
         typed(CURVE[name], curve[name], f"curve.{name}")
@@ -140,7 +141,7 @@ class FamilyPoint(Orbit):
     """whether it has every check of a certificate and not only those of its closure"""
     watch: Mapping[str, float] = field(default_factory=dict)
     """the numbers that the user watches, by name"""
-    curve: Mapping[str, Any] = field(default_factory=dict)
+    curve: Table = field(default_factory=dict)
     """what rebuilds the equations of its family"""
 
     _check = _check_place
@@ -250,8 +251,8 @@ class End:
     parameter: float | None = None
     period: float | None = None
     error: float | None = None
-    joined: Mapping[str, Any] | None = None
-    saddles: tuple[Mapping[str, Any], ...] | None = None
+    joined: Table | None = None
+    saddles: tuple[Table, ...] | None = None
 
 
 def reached(name: str, value: float) -> str:
@@ -333,13 +334,13 @@ class Family(Tabled):
     _tables = "families.table:family_tables"
 
     name: str
-    system: Mapping[str, Any]
+    system: Table
     parameter: str
     points: Points
     events: Events
     ends: tuple[End, ...]
-    curve: Mapping[str, Any] = field(default_factory=dict)
-    source: Mapping[str, Any] = field(default_factory=dict)
+    curve: Table = field(default_factory=dict)
+    source: Table = field(default_factory=dict)
 
     def _check(self) -> None:
         if not self.points:
@@ -487,7 +488,7 @@ def number_of(member: FamilyPoint | Event, name: str) -> float:
 class Journal:
     """What a journal says: its header and the complete batches, in the order they were computed."""
 
-    header: Mapping[str, Any]
+    header: Table
     batches: tuple[Batch, ...]
     sealed: bool = True
     """False when it was written without digests"""
@@ -509,23 +510,19 @@ class Journal:
         return ends[-1] if ends else None
 
 
-def restored(kind: type[FamilyPoint] | type[Event], document: Mapping[str, Any], where: str = "") -> Any:
+def restored(kind: type[FamilyPoint] | type[Event], document: Table, where: str = "") -> Any:
     """A FamilyPoint or an Event out of what `plain` made of it; `ValueError` names the entry that is wrong."""
     entries = {entry.field: document[entry.name] for entry in layout(kind) if entry.name in document}  # type: ignore[arg-type]
-    member = typed(kind, entries | (_untold(entries) if kind is FamilyPoint else {}), where)
+    if kind is FamilyPoint:  # what only its family knows (see `situated`), and what is left out
+        entries |= {"name": "", "system": {}, "winding": (), "nodes": [entries.get("state")], "times": np.zeros(0),
+                    "samples": np.zeros(0), "tolerance": CLOSURE}  # fmt: skip
+    member = typed(kind, entries, where)
     if isinstance(member, Event) and member.kind == "fold" and member.detail not in ("energy", *member.free):
         member = replace(member, kind="turn")  # as older files call it too
     return member
 
 
-def _untold(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """The entries of an Orbit that only the family of a point knows (see `situated`), and those that are left out."""
-    state = entries.get("state")
-    return {"name": "", "system": {}, "winding": (), "nodes": [state], "times": np.zeros(0),
-            "samples": np.zeros(0), "tolerance": CLOSURE}  # fmt: skip
-
-
-def situated(point: FamilyPoint, index: int, name: str, system: Mapping[str, Any], curve: Mapping[str, Any]) -> Any:
+def situated(point: FamilyPoint, index: int, name: str, system: Table, curve: Table) -> Any:
     """A point with what its family knows: its number, its name, its system at the freed parameters, its turns."""
     return replace(
         point, index=index, name=f"{name}-{index}", system=system_at(system, point.free),
@@ -533,7 +530,7 @@ def situated(point: FamilyPoint, index: int, name: str, system: Mapping[str, Any
     )  # fmt: skip
 
 
-def _turns(curve: Mapping[str, Any], size: int) -> tuple[int, ...]:
+def _turns(curve: Table, size: int) -> tuple[int, ...]:
     """Whole turns of each coordinate of a state (d) in a period: d of them in a first-order system, else half.
 
     Older files say them by the boundary's constants only.
@@ -571,12 +568,12 @@ class _Header:
     """The first line of a journal."""
 
     name: str
-    system: Mapping[str, Any]
+    system: Table
     parameter: str
-    origin: Mapping[str, Any]
-    curve: Mapping[str, Any]
-    source: Mapping[str, Any] = field(default_factory=dict)
-    request: Mapping[str, Any] = field(default_factory=dict)
+    origin: Table
+    curve: Table
+    source: Table = field(default_factory=dict)
+    request: Table = field(default_factory=dict)
     away: int = 1
 
 
@@ -590,11 +587,8 @@ def read_journal(folder: Path) -> Journal | None:
 
     Raises `InputError` about any other line that is not as it was written.
     """
-    lines = read_lines(folder / JOURNAL, JOURNAL)
-    return None if lines is None else _journal(folder / JOURNAL, *lines)
-
-
-def _journal(path: Path, entries: Sequence[Mapping[str, Any]], sealed: bool) -> Journal | None:
+    path = folder / JOURNAL
+    entries, sealed = read_lines(path, JOURNAL) or ([], True)
     if not entries:
         return None
     header, batches = entries[0], []
@@ -688,7 +682,11 @@ def load_family(path: str | Path) -> Family:
     content = json_file(source, "family.json", AGAIN)
     document = check_format(content, FORMAT, VERSION, str(source), "give a family.json", AGAIN)
     unsealed(document, str(source), AGAIN, "dense" in document)
-    dense = _read_dense(source.with_suffix(".npz"), str(document.get("dense", "")))
+    beside, dense = source.with_suffix(".npz"), dict[str, np.ndarray]()
+    if beside.exists():  # without it an orbit is its state and period
+        dense = arrays(beside, _dense_names(), AGAIN)
+        if document.get("dense", "") not in ("", _dense_digest(dense)):
+            raise InputError(f"{beside}: its digest is not that in family.json, edited or damaged; {AGAIN}")
     try:
         for kind in ("point", "event"):
             if f"{kind}s" in document:
@@ -706,16 +704,6 @@ def load_family(path: str | Path) -> Family:
         )
     except (TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{source}: curve or system: {error}; {AGAIN}") from error
-
-
-def _read_dense(path: Path, expected: str) -> dict[str, np.ndarray]:
-    """The arrays of family.npz, none where there is no such file: without it an orbit is its state and period."""
-    if not path.exists():
-        return {}
-    dense = arrays(path, _dense_names(), AGAIN)
-    if expected and expected != _dense_digest(dense):
-        raise InputError(f"{path}: its digest is not that in family.json, edited or damaged; {AGAIN}")
-    return dense
 
 
 def _put_back(dense: Mapping[str, np.ndarray], kind: str, document: dict[str, Any]) -> None:

@@ -20,6 +20,7 @@ import numpy as np
 from orbitfinder._runtime import locks
 from orbitfinder.errors import InputError, shortened
 from orbitfinder.records.reading import (
+    Table,
     content_digest,
     file_lines,
     json_bytes,
@@ -43,7 +44,7 @@ class Checkpoints(Generic[Line]):
     path: Path | None
     known: list[Line]
 
-    def add(self, entries: Mapping[str, Any]) -> None:
+    def add(self, entries: Table) -> None:
         """One line more, on the disk when this returns."""
         if self.path is not None:
             append_line(self.path, entries)
@@ -51,7 +52,7 @@ class Checkpoints(Generic[Line]):
 
 @contextlib.contextmanager
 def checkpoints(
-    path: Path | None, request: Mapping[str, Any], read: Callable[[dict[str, Any]], Line]
+    path: Path | None, request: Table, read: Callable[[dict[str, Any]], Line]
 ) -> Iterator[Checkpoints[Line]]:
     """Those of a request (plain numbers) at a path, whose folder nobody else has meanwhile; nothing without a path.
 
@@ -64,7 +65,7 @@ def checkpoints(
         yield Checkpoints(path, known_lines(path, request, read))
 
 
-def known_lines(path: Path, request: Mapping[str, Any], read: Callable[[dict[str, Any]], Line]) -> list[Line]:
+def known_lines(path: Path, request: Table, read: Callable[[dict[str, Any]], Line]) -> list[Line]:
     """The lines of the journal of a request, which is begun where there is none, or another without a line.
 
     Raises `InputError` where it cannot be read, and for the lines of another request, which nothing writes over.
@@ -83,7 +84,7 @@ def known_lines(path: Path, request: Mapping[str, Any], read: Callable[[dict[str
     return known
 
 
-def header_of(request: Mapping[str, Any]) -> dict[str, Any]:
+def header_of(request: Table) -> dict[str, Any]:
     """The first line of the journal of a request."""
     return {"format": FORMAT, "version": VERSION, "request": request}
 
@@ -139,7 +140,7 @@ def unpacked(text: str, columns: int | None) -> np.ndarray:
     return np.frombuffer(base64.b64decode(data, validate=True), "<f8").reshape(-1, int(width[:9])).astype(float)
 
 
-def begin_journal(path: Path, header: Mapping[str, Any], lines: Iterable[Mapping[str, Any]] = ()) -> None:
+def begin_journal(path: Path, header: Table, lines: Iterable[Table] = ()) -> None:
     """A journal of a header and of lines that are known, replacing an older journal whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, b"".join(map(sealed_line, (header, *lines))))
@@ -150,7 +151,7 @@ def begin_journal(path: Path, header: Mapping[str, Any], lines: Iterable[Mapping
         os.close(handle)
 
 
-def append_line(path: Path, entries: Mapping[str, Any]) -> None:
+def append_line(path: Path, entries: Table) -> None:
     """One line more, on the disk when this returns."""
     with named(path), open(path, "ab") as stream:
         stream.write(sealed_line(entries))
@@ -158,12 +159,12 @@ def append_line(path: Path, entries: Mapping[str, Any]) -> None:
         os.fsync(stream.fileno())
 
 
-def sealed_line(entries: Mapping[str, Any]) -> bytes:
+def sealed_line(entries: Table) -> bytes:
     """A line with its digest."""
     return json_bytes({**entries, SEAL: seal(entries)}, compact=True)
 
 
-def seal(entries: Mapping[str, Any]) -> str:
+def seal(entries: Table) -> str:
     """The digest of a line's entries."""
     return content_digest(entries)[:16]
 

@@ -16,6 +16,7 @@ from orbitfinder.records.certificate import Certified
 from orbitfinder.records.codec import Complexes, Dense, Filed, Unknown, check_format, entries_of
 from orbitfinder.records.control import check_control
 from orbitfinder.records.reading import (
+    Table,
     arrays,
     content_digest,
     json_bytes,
@@ -104,7 +105,7 @@ class Orbit(Shown):
     _sparse: ClassVar[tuple[str, ...]] = ("shift", "control")
 
     name: str
-    system: Mapping[str, Any]
+    system: Table
     state: np.ndarray
     period: float
     energy: Unknown
@@ -122,14 +123,14 @@ class Orbit(Shown):
     tolerance: float
     expected: Expected = field(default_factory=dict)
     certificate: Certified = None
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Table = field(default_factory=dict)
     title: str = ""
     source: str = ""
-    proof: Mapping[str, Any] | None = None
+    proof: Table | None = None
     record: str | None = field(default=None, compare=False)
     shift: Mapping[str, float] = field(default_factory=dict)
 
-    control: Mapping[str, Any] | None = None
+    control: Table | None = None
 
     def _check(self) -> None:
         described = {"period", "energy", "action", *self.system, *self.system.get("arguments", {})}
@@ -194,7 +195,7 @@ def incomputable(state: np.ndarray, period: float, farthest: float = 1e100) -> s
     return wrong[0] if wrong else ""
 
 
-def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping[str, Any]:
+def system_at(system: Table, values: Mapping[str, float]) -> Table:
     """The description of a system with some physical parameters changed: `length3` is the third entry of `length`.
 
     Shares of arcs, which solvers free too, are no part of it.
@@ -220,13 +221,13 @@ def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping
     return changed
 
 
-def digest(document: Mapping[str, Any]) -> str:
+def digest(document: Table) -> str:
     """SHA-256 of the numbers of an orbit document, independent of its layout on disk."""
     relative = {name: document[name] for name in ("shift", "control") if document.get(name)}
     return content_digest({name: document.get(name) for name in DIGESTED} | relative)
 
 
-def recorded_proof(document: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def recorded_proof(document: Table) -> Table | None:
     """The proof that an orbit document says it has; None without any, and where it is of another orbit's numbers.
 
     It is a claim until `orbitfinder verify --proof` does it again.

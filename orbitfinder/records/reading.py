@@ -32,6 +32,8 @@ import numpy as np
 from orbitfinder._runtime import interrupt
 from orbitfinder.errors import InputError, LimitError, shortened
 
+Table = Mapping[str, Any]
+"""Entries by name, as in a JSON object, a TOML table, the description of a system"""
 LARGEST_FILE = 100_000_000
 """Bytes; a larger file (of a journal: a larger line) is refused before it is read."""
 MOST_VALUES = 10_000_000
@@ -44,30 +46,24 @@ BUSY = 2.0 if sys.platform == "win32" else 0.0
 """s to wait for others to close the file that is to be replaced"""
 
 
-def _regular(path: Path, what: str) -> BinaryIO:
-    """The open file at a path, if it is a regular file."""
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    mode = os.fstat(handle).st_mode
-    if stat.S_ISREG(mode):
-        return os.fdopen(handle, "rb")
-    os.close(handle)
-    kind = "a folder, not a file; name a" if stat.S_ISDIR(mode) else "not a regular file; give a"
-    raise InputError(f"{path}: {kind} {what}{' in it' if stat.S_ISDIR(mode) else ''}")
-
-
 def _opened(path: Path, what: str) -> BinaryIO:
+    """The open file at a path, if it is a regular file."""
     try:
-        return _regular(path, what)
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        mode = os.fstat(handle).st_mode
+        if stat.S_ISREG(mode):
+            return os.fdopen(handle, "rb")
+        os.close(handle)
     except FileNotFoundError as error:
         named = path.with_name(f"{path.name}.toml")
         meant = f"did you mean {named}?" if named.is_file() else "check the path"
         if what == "problem file" and not named.is_file():
             meant += "; `orbitfinder problems copy all` writes those that come with orbitfinder to problems/"
         raise InputError(f"{path}: no such file; {meant}") from error
-    except InputError:
-        raise
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read ({error}); check the path and its permissions") from error
+    kind = "a folder, not a file; name a" if stat.S_ISDIR(mode) else "not a regular file; give a"
+    raise InputError(f"{path}: {kind} {what}{' in it' if stat.S_ISDIR(mode) else ''}")
 
 
 def file_bytes(path: Path, what: str = "file", limit: int = LARGEST_FILE) -> bytes:

@@ -10,6 +10,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder.errors import InputError
+from orbitfinder.records.reading import Table
 
 Tables = dict[str, dict[str, Any]]
 """Columns by the table that they are of"""
@@ -65,7 +66,7 @@ def framed(columns: Mapping[str, Sequence[Any]]) -> Any:
     return DataFrame(arrays)
 
 
-def placed(parameters: Mapping[str, Any], columns: Mapping[str, Any]) -> dict[str, Any]:
+def placed(parameters: Table, columns: Table) -> dict[str, Any]:
     """A table's columns: the row's number, then parameters by their own names, which no other column takes."""
     count = len(next(iter({**parameters, **columns}.values())))
     return {"index": np.arange(count), **parameters, **columns, **parameters}
@@ -97,7 +98,7 @@ def verdict_columns(points: Sequence[Any], certified: Sequence[bool]) -> dict[st
     }
 
 
-def stacked(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def stacked(parts: Mapping[str, Table]) -> dict[str, Any]:
     """Tables below each other by the file that each is of, a column `curve`; nothing where a part has not a column."""
     columns = dict[str, list[Any]]({"curve": []})
     lengths = {file: len(next(iter(part.values()))) for file, part in parts.items()}

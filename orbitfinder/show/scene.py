@@ -17,6 +17,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import given_units, units
 from orbitfinder.orbits.course import Course
+from orbitfinder.records.reading import Table
 
 Strokes = Sequence[tuple[str, tuple[int, ...]]]
 Outline = Callable[[np.ndarray, float], np.ndarray]
@@ -159,7 +160,7 @@ class Scene:
     period: float = entry(default=1.0, kw_only=True)
     loops: bool = entry(default=True, kw_only=True)
     drawn: str = entry(default="mechanism", kw_only=True)
-    around: Mapping[str, Any] = entry(default_factory=dict, kw_only=True)
+    around: Table = entry(default_factory=dict, kw_only=True)
 
 
 def cuts_of(course: Course, moments: np.ndarray) -> tuple[int, ...]:
@@ -215,7 +216,7 @@ def unlike(model: Model) -> bool:
     return model.points is None and not spatial(model) and places < 2 <= len(model.state_names)
 
 
-def axis_words(name: str, system: Mapping[str, Any]) -> str:
+def axis_words(name: str, system: Table) -> str:
     """A state's name with its unit where that is told."""
     unit = given_units(system).get(name, "")
     return f"{name}, {unit}" if unit else name
@@ -254,7 +255,7 @@ def scenery(model: Model) -> dict[str, Any]:
     return own | {"axes": [[name, way.tolist()] for name, way in named], "unit": units(model.system)["length"]} | seen
 
 
-def solids_of(system: Mapping[str, Any]) -> dict[str, list[list[Any]]]:
+def solids_of(system: Table) -> dict[str, list[list[Any]]]:
     """The shapes of a robot's bodies in the order of their strokes, see `shapes.described`, by a name of all that pages
     keep them by; {} where nothing is known of them."""
     drawn = system.get("drawn")

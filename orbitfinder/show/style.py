@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.scales import given_units, worded
-from orbitfinder.records.reading import write_atomically
+from orbitfinder.records.reading import Table, write_atomically
 from orbitfinder.show.scene import BRUSHES, Scene, Strokes, extent, outlines, tip
 from orbitfinder.show.svg import COLOURS
 
@@ -75,13 +75,13 @@ def dress(axes: Any, across: str, up: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def with_word(quantity: str, system: Mapping[str, Any]) -> str:
+def with_word(quantity: str, system: Table) -> str:
     """A parameter or state by name, with its unit where that is told."""
     unit = given_units(system).get(quantity, "")
     return f"{quantity}\N{NO-BREAK SPACE}({unit})" if unit else quantity  # no unit of SI to put another in place of
 
 
-def told_in(figure: Figure, system: Mapping[str, Any]) -> Figure:
+def told_in(figure: Figure, system: Table) -> Figure:
     """A figure in SI units with a system's words in their place."""
     for text in figure.findobj(Text):
         text.set_text(worded(text.get_text(), system))

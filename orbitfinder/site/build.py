@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.resources import files
@@ -21,6 +21,7 @@ from orbitfinder.families.plane import ParameterMap
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import level
+from orbitfinder.records.reading import Table
 from orbitfinder.show.diagram import entitled
 from orbitfinder.show.facts import number, with_unit
 from orbitfinder.show.rest import rest_svg
@@ -125,7 +126,7 @@ class Card:
 class Site:
     """The files of a site by their path, collected before anything is written."""
 
-    def __init__(self, settings: SiteSettings, solids: Mapping[str, Any]) -> None:
+    def __init__(self, settings: SiteSettings, solids: Table) -> None:
         self.settings, self.solids = settings, solids
         self.files: dict[str, bytes] = {}
         self.pages: list[HtmlFile] = []
@@ -133,13 +134,13 @@ class Site:
             if asset.is_file():
                 self.files[f"assets/{asset.name}"] = asset.read_bytes()
 
-    def add_still(self, kind: str, path: str, values: Mapping[str, Any], picture: bytes, about: str) -> None:
+    def add_still(self, kind: str, path: str, values: Table, picture: bytes, about: str) -> None:
         """One page by the template of a kind on which nothing moves, with its picture; `values` has the title."""
         still = re.sub(r"\.html$", ".png", path)
         self.files[still] = picture
         self._page(kind, path, {**values, "picture": still}, [], about, (still,))
 
-    def add(self, kind: str, path: str, values: Mapping[str, Any], data: tuple[str, Any], about: str) -> None:
+    def add(self, kind: str, path: str, values: Table, data: tuple[str, Any], about: str) -> None:
         """One page by the template of a kind, with its data file; `values` has the title."""
         key, payload = data
         beside = re.sub(r"\.html$", ".js", path)
@@ -151,7 +152,7 @@ class Site:
         self._page(kind, path, values, [scripts[0], data_file, *scripts[1:]], about)
 
     def _page(
-        self, kind: str, path: str, values: Mapping[str, Any], loads: Sequence[str], about: str,
+        self, kind: str, path: str, values: Table, loads: Sequence[str], about: str,
         shown: Sequence[str] = (),
     ) -> None:  # fmt: skip
         whole = rendered(
@@ -228,12 +229,12 @@ def _judged(entries: Sequence[SiteOrbit], judge: Callable[..., Verdict], tell: P
     return verdicts
 
 
-def same(system: Mapping[str, Any]) -> str:
+def same(system: Table) -> str:
     """Equal for equal systems."""
     return json.dumps(system, sort_keys=True, default=str)
 
 
-def _passing(document: Mapping[str, Any], links: Sequence[Card]) -> list[tuple[str, str]]:
+def _passing(document: Table, links: Sequence[Card]) -> list[tuple[str, str]]:
     """Address and words of the families whose curves pass an orbit."""
     known, here = same(document["system"]), _here(document)
     passed = [(link, _closest(here, link.curve)) for link in links if link.system == known]
@@ -263,7 +264,7 @@ def _complete(entry: SiteOrbit, simulator: Simulator, links: Sequence[Card]) -> 
     )  # fmt: skip
 
 
-def _here(document: Mapping[str, Any]) -> tuple[float, float, float]:
+def _here(document: Table) -> tuple[float, float, float]:
     """Energy, period and action of an orbit."""
     return level(document["energy"]), float(document["period"]), float(document["action"])
 
@@ -376,7 +377,7 @@ def _add_map(site: Site, plane: ParameterMap, slug: str, gathered: Gathered) -> 
                 picture=f'<img src="maps/{slug}.png" alt="">')  # fmt: skip
 
 
-def _cover(key: str, data: Mapping[str, Any], motions: dict[str, Any]) -> str:
+def _cover(key: str, data: Table, motions: dict[str, Any]) -> str:
     """The key under which the gallery finds the motion that stands for a family or an atlas."""
     moving = [item["motion"] for item in data["items"] if item["motion"]]
     if moving:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from orbitfinder.records.orbit import (
     read_document,
     unconserved,
 )
+from orbitfinder.records.reading import Table
 from orbitfinder.records.registry import DATABASES, answer, kind_of, load, load_orbit, member, taken
 from orbitfinder.show.scene import evenly
 from orbitfinder.structures.manifold import Connection, Manifold
@@ -46,7 +47,7 @@ class OrbitFile:
     """An orbit, its document, and that compactly as text."""
 
     orbit: Orbit
-    document: Mapping[str, Any]
+    document: Table
     text: str
 
     @property
@@ -87,7 +88,7 @@ class Gathered:
     trusted: list[Path] = field(default_factory=list)
     """folders that Python modules may be imported from"""
 
-    def model(self, system: Mapping[str, Any]) -> Model:
+    def model(self, system: Table) -> Model:
         """The Model of a system, its module imported from the trusted folder that has it. Raises `InputError`."""
         held = [folder for folder in self.trusted if (folder / f"{system.get('module')}.py").is_file()]
         return build_model(system, next(iter(held or self.trusted), None))
@@ -176,7 +177,7 @@ def _orbit(document: Any, where: str) -> OrbitFile:
     return _checked(orbit_from_document(document, where), document, where)
 
 
-def _checked(orbit: Orbit, document: Mapping[str, Any], where: str) -> OrbitFile:
+def _checked(orbit: Orbit, document: Table, where: str) -> OrbitFile:
     size = orbit.state.size
     if orbit.state.ndim != 1 or not size or (size % 2 and len(orbit.winding) != size):
         raise InputError(f"{where}: state: {plural(size, 'number')}; coordinates and then as many velocities")
@@ -246,7 +247,7 @@ class Verdict:
         return ", ".join(check.name.replace("_", " ") for check in self.checks if not check.passed)
 
 
-def judged(orbit: Orbit, model_of: Callable[[Mapping[str, Any]], Model] = build_model) -> Verdict:
+def judged(orbit: Orbit, model_of: Callable[[Table], Model] = build_model) -> Verdict:
     """The certificate of an orbit, recomputed as `orbitfinder verify` does."""
     try:
         model = model_of(orbit.system)

@@ -7,7 +7,7 @@ Both are quantised to 16 bits and interpolated by the page; their number follows
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import SimpleNamespace
@@ -26,6 +26,7 @@ from orbitfinder.orbits.certify import shown
 from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_to_document
+from orbitfinder.records.reading import Table
 from orbitfinder.show.scene import (
     BRUSHES,
     Scene,
@@ -117,13 +118,13 @@ class Filmed(Scene):
 class Simulator:
     """Motions of orbits; models and their equations are built once per system and parameters."""
 
-    def __init__(self, model_of: Callable[[Mapping[str, Any]], Model] = build_model) -> None:
+    def __init__(self, model_of: Callable[[Table], Model] = build_model) -> None:
         self._model_of = model_of
         self._known: dict[str, tuple[Model, Any] | None] = {}
         self.solids: dict[str, list[list[Any]]] = {}
         """shapes of bodies by their names in what is packed"""
 
-    def model(self, system: Mapping[str, Any], free: tuple[str, ...] = ()) -> tuple[Model, Any] | None:
+    def model(self, system: Table, free: tuple[str, ...] = ()) -> tuple[Model, Any] | None:
         """The Model of a description and its field f(t, x, s, free), or None where no file describes it."""
         key = repr((sorted(system.items()), free))
         if key not in self._known:
@@ -136,12 +137,12 @@ class Simulator:
                 self._known[key] = None
         return self._known[key]
 
-    def known(self, system: Mapping[str, Any]) -> Model | None:
+    def known(self, system: Table) -> Model | None:
         """The Model of a description, None where no file describes it."""
         known = self.model(system)
         return known and known[0]
 
-    def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Filmed | None:
+    def orbit(self, document: Table, dense: tuple[np.ndarray, np.ndarray] | None = None) -> Filmed | None:
         """The motion of an orbit document from its nodes, or from dense samples where its system is unknown."""
         known, period = self.model(document["system"]), float(document["period"])
         if known is None:
@@ -165,7 +166,7 @@ class Simulator:
         dense = (orbit.times, orbit.samples) if len(orbit.samples) > 1 else None
         return self.orbit(orbit_to_document(orbit), dense)
 
-    def neighbour(self, document: Mapping[str, Any], motion: Filmed) -> Filmed | None:
+    def neighbour(self, document: Table, motion: Filmed) -> Filmed | None:
         """What starts OFF (of the extent of the motion) from an orbit and is left alone for TURNS periods.
 
         It starts where small differences grow most: a difference is sent round twice and made small again.
@@ -189,12 +190,12 @@ class Simulator:
             return None
         return _motion(model, np.linspace(0.0, TURNS * period, len(path)), path, returns=False)
 
-    def conserves(self, system: Mapping[str, Any], orbit: Mapping[str, Any] | None = None) -> bool:
+    def conserves(self, system: Table, orbit: Table | None = None) -> bool:
         """Whether an energy is conserved, by an `orbit` of it, True where nothing is known of the system."""
         known = self.model(system)
         return (known is None or known[0].conservative) and not (orbit or {}).get("control")
 
-    def member(self, system: Mapping[str, Any], member: FamilyPoint | Event) -> Filmed | None:
+    def member(self, system: Table, member: FamilyPoint | Event) -> Filmed | None:
         """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry.
 
         `system` is the family's: its equations are built once, with what varies along it as their argument.
@@ -431,7 +432,7 @@ def _short(number: float) -> float:
     return float(f"{number:.8g}")
 
 
-def framed(shown: Sequence[Mapping[str, Any]]) -> dict[str, list[float]] | None:
+def framed(shown: Sequence[Table]) -> dict[str, list[float]] | None:
     """Centre and spans (down, right, m) of what several packed motions cover together."""
     if not shown:
         return None

@@ -22,6 +22,7 @@ from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import BECOMES, Event, Family, FamilyPoint
 from orbitfinder.records.orbit import level, recorded_proof
+from orbitfinder.records.reading import Table
 from orbitfinder.show.diagram import LOOKS, changes, mark_of, verdicts
 from orbitfinder.show.facts import facts, largest, number, with_unit
 from orbitfinder.show.scene import evenly
@@ -64,7 +65,7 @@ class SiteOrbit:
     energies: np.ndarray | None = None
     """kinetic and potential energy at equal times"""
     neighbour: Filmed | None = None
-    landscape: Mapping[str, Any] | None = None
+    landscape: Table | None = None
     """the potential that it moves in, of a point in a plane"""
 
     @property
@@ -81,7 +82,7 @@ class SiteOrbit:
         return plain_words(" ".join(told))
 
     @property
-    def document(self) -> Mapping[str, Any]:
+    def document(self) -> Table:
         """The orbit document."""
         return self.file.document
 
@@ -168,7 +169,7 @@ def portraits(motion: Filmed) -> list[int]:
     return [k for k in shown(motion) if partners[k] > k or partners[partners[k] % n] != k]
 
 
-def _multipliers(document: Mapping[str, Any]) -> list[tuple[float, float, float, float]]:
+def _multipliers(document: Table) -> list[tuple[float, float, float, float]]:
     """Real and imaginary part, modulus and angle (degrees) of each multiplier, the largest first."""
     pairs = sorted(document["floquet_multipliers"], key=lambda pair: (-abs(complex(*pair)), pair[1]))
     return [(re, im, abs(complex(re, im)), float(np.degrees(np.angle(complex(re, im))))) for re, im in pairs]
@@ -186,7 +187,7 @@ def _check(check: Check) -> dict[str, Any]:
     }
 
 
-def _recorded_proof(entry: SiteOrbit) -> Mapping[str, Any] | None:
+def _recorded_proof(entry: SiteOrbit) -> Table | None:
     """What `orbitfinder prove` recorded, where it proved something; of a rejected orbit nothing is proved."""
     return None if entry.verdict.certified is False else recorded_proof(entry.document)
 
@@ -393,7 +394,7 @@ def span(values: Sequence[float], digits: int = 6) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def family_values(family: Family, items: Sequence[Table]) -> dict[str, Any]:
     """What the template of a family page is filled with."""
     points, events, unit = family.points, family.events, units(family.system)
     periods, energetic = family.values("period").tolist(), _energetic(family)

@@ -8,14 +8,14 @@ from __future__ import annotations
 import json
 import re
 import unicodedata
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from orbitfinder._runtime.inert import inert
 from orbitfinder.mechanics.kind import NAMES, system_kind
-from orbitfinder.records.reading import finite
+from orbitfinder.records.reading import Table, finite
 from orbitfinder.show.facts import number
 
 ASSETS = "assets"
@@ -59,7 +59,7 @@ def size(count: int) -> str:
     return f"{count / 1e6:.2f} MB" if count >= 1_000_000 else f"{max(1, round(count / 1e3))} kB"
 
 
-def mechanism(system: Mapping[str, Any]) -> str:
+def mechanism(system: Table) -> str:
     """The kind of mechanism in two or three words, for captions and the filter."""
     return system_kind(system).words(system)
 

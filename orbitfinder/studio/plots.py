@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from textwrap import wrap
 from typing import Any
 
@@ -13,6 +13,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.scales import lasting, unit_along, units
 from orbitfinder.orbits.guesses.returns import CloseReturn
 from orbitfinder.records.family import Event, Family, FamilyPoint
+from orbitfinder.records.reading import Table
 from orbitfinder.show.diagram import mark_of
 from orbitfinder.show.svg import ranged
 from orbitfinder.site.text import coordinate
@@ -29,7 +30,7 @@ POINTS, EVENTS, HERE = 0, 1, 2
 
 
 def _figure(
-    data: list[Trace], across: str, up: str, dark: bool, log: bool = False, key: Mapping[str, Any] | None = None,
+    data: list[Trace], across: str, up: str, dark: bool, log: bool = False, key: Table | None = None,
     nothing: str = "",
 ) -> dict[str, Any]:  # fmt: skip
     """A plot, under a legend of a `key` (names: colour, symbol), or `nothing` in words where there is none yet."""
@@ -86,9 +87,7 @@ def _rings(x: Sequence[float], y: Sequence[float], size: int) -> Trace:
     return _dots(x, y, marker=marker)
 
 
-def returns_figure(
-    returns: Sequence[CloseReturn], picked: int | None, system: Mapping[str, Any], dark: bool
-) -> dict[str, Any]:
+def returns_figure(returns: Sequence[CloseReturn], picked: int | None, system: Table, dark: bool) -> dict[str, Any]:
     """Period against miss; the more promising, the larger the dot."""
     sizes = [22 if k == 0 else max(9, 18 - 2 * k) for k in range(len(returns))]
     colours = [MARK if k == picked else STABLE for k in range(len(returns))]
@@ -107,7 +106,7 @@ def returns_figure(
 
 def family_figure(
     points: Sequence[FamilyPoint], events: Sequence[Event], here: FamilyPoint | None, others: Sequence[Family],
-    parameter: str, system: Mapping[str, Any], dark: bool,
+    parameter: str, system: Table, dark: bool,
 ) -> dict[str, Any]:  # fmt: skip
     """The chosen family by stability, its events by their kind, where it is, and the others in grey; a legend."""
     looks = [LOOKS.get(point.stability.replace("marginal", "undecided"), LOOKS["stable"]) for point in points]
@@ -171,7 +170,7 @@ def portrait_figure(
     return figure
 
 
-def clicked(event: Mapping[str, Any]) -> tuple[int, int] | None:
+def clicked(event: Table) -> tuple[int, int] | None:
     """The trace and the point that were clicked; None where a page sends something else."""
     try:
         point = event["points"][0]

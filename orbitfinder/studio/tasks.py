@@ -36,6 +36,7 @@ from orbitfinder.orbits.simulate import SAMPLES_PER_SECOND, simulate
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import Batch, Event, Family, FamilyPoint, read_journal
 from orbitfinder.records.orbit import Orbit, save_orbit, system_at
+from orbitfinder.records.reading import Table
 from orbitfinder.records.registry import load_orbit
 from orbitfinder.site.motion import Simulator, jumping, packed
 from orbitfinder.structures.section import Section
@@ -143,12 +144,12 @@ class Tasks:
         self._simulator = Simulator()
         self._refiner: tuple[Any, Refiner] | None = None
 
-    def model(self, system: Mapping[str, Any]) -> Model:
+    def model(self, system: Table) -> Model:
         """The Model of a description, built once. Raises `InputError`."""
         known = self._simulator.model(system)
         return build_model(system) if known is None else known[0]
 
-    def simulated(self, system: Mapping[str, Any], state: list[float], duration: float) -> Simulated:
+    def simulated(self, system: Table, state: list[float], duration: float) -> Simulated:
         """The motion from a state (d) over a duration (s) and where it nearly closes."""
         model = self.model(system)
         if not model.smooth:
@@ -165,7 +166,7 @@ class Tasks:
         return Simulated(shown, view(model, run.states), energy, change, tuple(returns))
 
     def settled(
-        self, system: Mapping[str, Any], state: list[float], name: str, duration: float, near: list[float],
+        self, system: Table, state: list[float], name: str, duration: float, near: list[float],
         sizes: np.ndarray,
     ) -> Settled:  # fmt: skip
         """What the motion from a state (d) comes to, stretch (s) by stretch, and the equilibrium `near` the last one.
@@ -190,7 +191,7 @@ class Tasks:
             before = box
         return Settled(path, [*map(float, start)], still, rest, np.maximum(sizes, np.abs(path).max(axis=0)))
 
-    def later(self, system: Mapping[str, Any], state: list[float], duration: float) -> list[float]:
+    def later(self, system: Table, state: list[float], duration: float) -> list[float]:
         """The state (d) that a motion has come to after a time (s)."""
         model = self.model(system)
         if duration <= 0:
@@ -201,24 +202,22 @@ class Tasks:
         run = simulate(model, np.asarray(state, float), duration, 2)
         return [*map(float, run.states[-1])]
 
-    def pulled(
-        self, system: Mapping[str, Any], state: list[float], point: int, place: list[float]
-    ) -> tuple[list[float], Film]:
+    def pulled(self, system: Table, state: list[float], point: int, place: list[float]) -> tuple[list[float], Film]:
         """The state at rest, and its picture, when a point is pulled to a place (down, right, m)."""
         model = self.model(system)
         pulled_to = pulled(model, np.asarray(state, float), point, np.asarray(place, float))
         return [*map(float, pulled_to)], pose(model, pulled_to)
 
-    def posed(self, system: Mapping[str, Any], state: list[float]) -> Film:
+    def posed(self, system: Table, state: list[float]) -> Film:
         """The picture of a state that stands still."""
         return pose(self.model(system), np.asarray(state, float))
 
-    def thrown(self, system: Mapping[str, Any], state: list[float], point: int, velocity: list[float]) -> list[float]:
+    def thrown(self, system: Table, state: list[float], point: int, velocity: list[float]) -> list[float]:
         """The state when a point is let go of with a velocity (down, right, m/s)."""
         after = thrown(self.model(system), np.asarray(state, float), point, np.asarray(velocity, float))
         return [*map(float, after)]
 
-    def cut(self, system: Mapping[str, Any], energy: float | None, orbit: Orbit | None) -> Cut:
+    def cut(self, system: Table, energy: float | None, orbit: Orbit | None) -> Cut:
         """The Poincare section at an energy (J, None where none is conserved), and where an orbit crosses it."""
         model = self.model(system)
         made = section(model, energy if model.conservative else None, seeds=SEEDS, returns=CROSSINGS)
@@ -229,7 +228,7 @@ class Tasks:
         return Cut(made, points)
 
     def searched(
-        self, system: Mapping[str, Any], energy: float | None, periods: tuple[float, float], budget: float, atlas: Path
+        self, system: Table, energy: float | None, periods: tuple[float, float], budget: float, atlas: Path
     ) -> int:
         """Search for orbits for a time (s) and keep them in an atlas: what `orbitfinder search` does; its starts."""
         last = [0.0]
@@ -270,7 +269,7 @@ class Tasks:
             for new in leaving
         ]
 
-    def shown(self, system: Mapping[str, Any], member: FamilyPoint | Event) -> Film | None:
+    def shown(self, system: Table, member: FamilyPoint | Event) -> Film | None:
         """The motion of a point or an event of a family."""
         motion = self._simulator.member(system, member)
         return None if motion is None else packed(motion)
