@@ -48,7 +48,7 @@ class Shown:
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
         if not TYPE_CHECKING:  # which dataclasses keep, and would compare arrays without
-            cls.__eq__, cls.__hash__ = _equal, _hash
+            cls.__eq__, cls.__hash__ = _equal, lambda self: hash(repr(self))  # which equal records share
 
     if not TYPE_CHECKING:  # type checkers know which attributes there are
 
@@ -80,11 +80,6 @@ def _equal(self: Any, other: Any) -> Any:
     except AssertionError:
         return False
     return True
-
-
-def _hash(self: Any) -> int:
-    """A hash of the line that shows a record, which equal records share."""
-    return hash(repr(self))
 
 
 _names: dict[Callable[[Any], str], tuple[str, ...]] = {}

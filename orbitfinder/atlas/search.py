@@ -432,14 +432,7 @@ def employed(
         raise InputError("executor: goes without scheduler; give one of the two")
     if scheduler is None and executor is None and workers == 0:
         return Inline(context, request)
-    rebuildable(context.model, request)
-    if executor is not None:
-        return Pool(request, executor, workers)
-    return LocalWorkers(request, workers) if scheduler is None else Cluster(request, scheduler)
-
-
-def rebuildable(model: Model, request: Request) -> None:
-    """`InputError` when other processes would not make the same Model from its description."""
+    model = context.model
     try:
         built = build_model(request.system, None if request.folder is None else Path(request.folder))
     except InputError as error:
@@ -449,6 +442,9 @@ def rebuildable(model: Model, request: Request) -> None:
     )
     if built.state_names != model.state_names or not same:
         raise InputError("workers: the description of this system makes another one elsewhere; use workers=0")
+    if executor is not None:
+        return Pool(request, executor, workers)
+    return LocalWorkers(request, workers) if scheduler is None else Cluster(request, scheduler)
 
 
 def check_request(shells: Sequence[float], starts: int | None, budget: float | None, seed: int, workers: int) -> None:

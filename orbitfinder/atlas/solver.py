@@ -177,16 +177,13 @@ def scaled_loop(
     measures = Measures.of(loop, w, w.joined(node, problem.guess.period, 1.0 / clock, np.zeros(0)))
     first, phases, _ = np.split(measures.rows, [measures.rows.size - len(loop.normals) - 1, measures.rows.size - 1])
     phases = np.full(phases.size, rate) if np.all(units == 1.0) else phases
-    rows = np.concatenate([first, phases, [_span(problem, equations, w.nodes[0, :n], node[n:])]])
+    # energies by how far they are above the potential there, which may be hardly at all
+    level, at, p = problem.pin[0].value, equations.march.arcs[0].at, problem.model.parameter_values
+    lowest = float(at(problem.model.potential, w.nodes[0, :n], p)[0][0, 0])
+    moving = 2.0 * float(at(problem.model.kinetic, w.nodes[0, :n], node[n:], p)[0][0, 0])
+    span = max(abs(level - lowest), 0.1 * abs(level), 1e-3 * min(1.0, moving))
+    rows = np.concatenate([first, phases, [span]])
     return ScaledLoop(loop, step, replace(measures, rows=rows), periods, tuple(units))
-
-
-def _span(problem: Problem, equations: Equations, q: np.ndarray, v: np.ndarray) -> float:
-    """What an energy is measured in (J): how far it is above the potential at q, which may be hardly at all."""
-    model, level, at = problem.model, problem.pin[0].value, equations.march.arcs[0].at
-    lowest = float(at(model.potential, q, model.parameter_values)[0][0, 0])
-    moving = 2.0 * float(at(model.kinetic, q, v, model.parameter_values)[0][0, 0])
-    return max(abs(level - lowest), 0.1 * abs(level), 1e-3 * min(1.0, moving))
 
 
 @dataclass(frozen=True)

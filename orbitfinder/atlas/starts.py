@@ -188,7 +188,11 @@ class SearchStart:
 def context_of(model: Model, target: Target) -> Context:
     """The shared part of a search. Raises `InputError` for systems and energies that cannot be searched."""
     if target.problem:
-        return _steered(model, target)
+        check_periods(target)
+        made = Controlled.of(problem_of(model, target.problem), target.periods)
+        size = model.degrees_of_freedom
+        place, none = np.zeros(size), np.zeros((size, 0))
+        return Context(model, target, place, none, made.strategies, made.extents[:size], controlled=made)
     check(model, target)
     if not model.smooth:
         section = EventSection.of(model, target.section, target.cycles, target.periods, target.energy)
@@ -257,15 +261,6 @@ def _forced(model: Model, target: Target) -> Context:
             "widen it"
         )
     return _ready(context, {NONE.name: NONE if model.rates is None else ALONE}, place)
-
-
-def _steered(model: Model, target: Target) -> Context:
-    """The shared part of a search of controlled motions."""
-    check_periods(target)
-    made = Controlled.of(problem_of(model, target.problem), target.periods)
-    size = model.degrees_of_freedom
-    place, none = np.zeros(size), np.zeros((size, 0))
-    return Context(model, target, place, none, made.strategies, made.extents[:size], controlled=made)
 
 
 def shell_lengths(model: Model, place: np.ndarray, energy: float) -> np.ndarray:
@@ -506,7 +501,11 @@ def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndar
     """How far each of states (k x 2n) is from ending the horizon that began at the first of them."""
     n, angular, states = context.model.degrees_of_freedom, context.model.angular, states / context.sizes
     if context.region is not None:
-        return _gap_alone(context.declared.get(symmetry), states, angular)
+        mirror = context.declared.get(symmetry)
+        if mirror is not None and mirror.sense < 0:
+            return np.asarray(np.abs(off_centre(mirror, states, angular)).max(axis=1))
+        begin = states[0] if mirror is None else mirror.matrix(states.shape[1]) @ states[0]
+        return np.asarray(np.abs(wrapped(states - begin, angular)).max(axis=1))
     rate = nonzero(np.sqrt(np.mean(states[:, n:] ** 2)))
     if symmetry == REVERSAL.name or symmetry in context.declared:
         known = (context.declared[symmetry],) if symmetry in context.declared else REVERSAL.maps
@@ -519,14 +518,6 @@ def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndar
     if not imposed.reverses:
         gaps = wrapped(gaps + first @ states[0], angular)
     return np.asarray((np.abs(gaps) / np.where(units > 0, units, 1.0)).max(axis=1))
-
-
-def _gap_alone(mirror: Involution | None, states: np.ndarray, angular: np.ndarray) -> np.ndarray:
-    """The same of first-order states (k x d) in lengths, under an mirror or none."""
-    if mirror is not None and mirror.sense < 0:
-        return np.asarray(np.abs(off_centre(mirror, states, angular)).max(axis=1))
-    first = states[0] if mirror is None else mirror.matrix(states.shape[1]) @ states[0]
-    return np.asarray(np.abs(wrapped(states - first, angular)).max(axis=1))
 
 
 def simulated(context: Context, state: np.ndarray, duration: float) -> Course[tuple[np.ndarray, np.ndarray]]:

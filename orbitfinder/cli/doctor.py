@@ -146,12 +146,9 @@ def _cache() -> Finding:
         return Finding("cache", NOTE, f"not used, nothing is compiled: {error}", remedy)
     entries = [entry for entry in place.glob("*.so") if not entry.name.startswith("making-")]
     size = sum(entry.stat().st_size for entry in entries)
-    return Finding("cache", OK, f"{_short(place)}: {len(entries)} compiled functions, {size / 1e6:.1f} MB")
-
-
-def _short(place: Path) -> Path:
-    """A path as it is said: the home folder is ~."""
-    return Path("~") / place.relative_to(Path.home()) if place.is_relative_to(Path.home()) else place
+    if place.is_relative_to(Path.home()):
+        place = Path("~") / place.relative_to(Path.home())
+    return Finding("cache", OK, f"{place}: {len(entries)} compiled functions, {size / 1e6:.1f} MB")
 
 
 def extras() -> Iterator[Finding]:

@@ -113,7 +113,10 @@ class Commands(click.Group):
                     return _interrupted(ctx)
                 if not isinstance(error, OSError):
                     raise
-                _complain(ctx, _refused(error))
+                # what the system does not allow; without a name it is a standard stream
+                where, why = error.filename or "standard output", error.strerror or error
+                remedy = "free some space or choose a place that you can read and write"
+                _complain(ctx, InputError(f"{where}: {why}; {remedy}"))
                 ctx.exit(BAD_INPUT)
 
 
@@ -138,12 +141,6 @@ def _interrupted(ctx: click.Context) -> None:
     what = keeping.last[-1] if keeping.last else "finished results are kept"
     click.echo(f"Interrupted: {what}, nothing half-written.", err=True)
     ctx.exit(INTERRUPTED)
-
-
-def _refused(error: OSError) -> InputError:
-    """What the system does not allow, in a sentence; without a name it is a standard stream."""
-    where, why = error.filename or "standard output", error.strerror or error
-    return InputError(f"{where}: {why}; free some space or choose a place that you can read and write")
 
 
 def _complain(ctx: click.Context, error: OrbitfinderError) -> None:

@@ -199,9 +199,14 @@ def _written(job: ProblemJob, orbit: Orbit, model: Model, began: float) -> Outco
     remedy = "" if passed or not (by := orbit.provenance.get("method")) else named(by).remedy
     if "distance" in failures and not orbit.system.get("invariants"):
         remedy = remedy or "a multiplier too near 1 leaves it open: declare what is conserved in [system.invariants]"
+    among, made = "", orbit.provenance.get("choice")
+    if made:
+        among = (
+            f", the least unstable of {plural(made['orbits'], 'orbit')} found from {plural(made['starts'], 'start')}"
+        )
     return Outcome(
         orbit.name, str(job.file), "certified" if passed else "rejected",
-        f"certified{_among(orbit)}" if passed else f"not an orbit: {explained(certificate)}",
+        f"certified{among}" if passed else f"not an orbit: {explained(certificate)}",
         time.perf_counter() - began,
         orbit.period, orbit.energy if orbit.energy == orbit.energy else None, orbit.closure, orbit.stability,
         orbit.symmetry,
@@ -209,14 +214,6 @@ def _written(job: ProblemJob, orbit: Orbit, model: Model, began: float) -> Outco
         tuple(str(path) for path in written),
         reduction(with_parameters(model, orbit.provenance.get("free", {})), orbit), units(orbit.system), remedy,
     )  # fmt: skip
-
-
-def _among(orbit: Orbit) -> str:
-    """How many orbits a choice was made among, in words; nothing where there was none."""
-    made = orbit.provenance.get("choice")
-    if not made:
-        return ""
-    return f", the least unstable of {plural(made['orbits'], 'orbit')} found from {plural(made['starts'], 'start')}"
 
 
 def explained(certificate: Certificate | None) -> str:

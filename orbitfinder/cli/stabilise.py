@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +47,7 @@ def stabilise(
       orbitfinder stabilise orbits/triple-1/orbit.json --motors 1
       orbitfinder stabilise orbits/triple-1/orbit.json --saturation 5 --noise 0.001 --animate
     """
-    from orbitfinder.mechanics.kind import system_kind
+    from orbitfinder.mechanics.kind import build_model, system_kind
     from orbitfinder.records.codec import entries_of
 
     orbit, model = orbit_and_model(file, trust, pictured=True)
@@ -68,7 +67,11 @@ def stabilise(
     if made.stabilised:
         written += of.export_controller(made, folder, own)
         if animate:
-            written.append(_animated(made, own, trial, folder / "recovery.gif"))
+            own = own or build_model(made.system)
+            run = of.recovery(made, max(trial["sizes"]), 6, noise=trial["noise"], seed=trial["seed"], model=own)
+            title = f"{made.name}, {max(trial['sizes']):g} off, held by {', '.join(made.actuators)}"
+            clip = of.simulation_clip(run.times, of.positions(own, run.states), title)
+            written.append(of.save_animation(clip, folder / "recovery.gif"))
     for path in written:
         text(str(path))
     document = {name: entry for name, entry in entries_of(made).items() if name not in ("states", "inputs", "gains")}
@@ -95,13 +98,3 @@ def _print_basin(made: of.Controller) -> None:
     for row in made.basin.rows:
         efforts = "".join(f"{a:>16.4g}{b:>16.4g}" for a, b in zip(row.peak, row.rms, strict=True))
         text(f"  {row.size:>8g}{f'{row.returned}/{row.count}':>12}{efforts}")
-
-
-def _animated(made: of.Controller, model: of.Model | None, trial: Mapping[str, Any], target: Path) -> Path:
-    """A picture that moves of a disturbed motion recovering."""
-    from orbitfinder.mechanics.kind import build_model
-
-    model, size = model or build_model(made.system), max(trial["sizes"])
-    run = of.recovery(made, size, 6, noise=trial["noise"], seed=trial["seed"], model=model)
-    title = f"{made.name}, {size:g} off, held by {', '.join(made.actuators)}"
-    return of.save_animation(of.simulation_clip(run.times, of.positions(model, run.states), title), target)

@@ -46,7 +46,13 @@ def torus(
     from orbitfinder.show.tori import save_torus_figures
     from orbitfinder.structures.tori import torus_value
 
-    origin, model, label = _origin(file, trust)
+    origin, model = orbit_and_model(file, trust, read=load if held(file)[0] == "tori" else load_orbit)
+    label = f"{origin.name}-tori"
+    if isinstance(origin, of.Tori):
+        if len(origin.tori) > 1:
+            many = len(origin.tori)
+            raise InputError(f"file: {file} holds {many} tori; give one of them, {file}#{many - 1}")
+        origin, label = origin.tori[0], f"{origin.name}-on"
     folder, left = folder_of(out, name or label), way_left(points, until)
     along = how["parameter"] or ("energy" if how["hold"] == "rotation" else "rotation")
     with display(f"{folder.name}: tori from {file}") as shown, kept(folder / "tori.json", of.save_tori):
@@ -72,13 +78,3 @@ def torus(
     ]
     document = {"name": folder.name, "tori": rows, "end": family.end, "written": written}
     finish("torus", document, arrived and sure == len(family.tori))
-
-
-def _origin(file: Path, trust: bool) -> tuple[of.Orbit | of.Torus, of.Model, str]:
-    """What the tori begin with, its Model, and a name for them."""
-    record, model = orbit_and_model(file, trust, read=load if held(file)[0] == "tori" else load_orbit)
-    if not isinstance(record, of.Tori):
-        return record, model, f"{record.name}-tori"
-    if len(record.tori) > 1:
-        raise InputError(f"file: {file} holds {len(record.tori)} tori; give one of them, {file}#{len(record.tori) - 1}")
-    return record.tori[0], model, f"{record.name}-on"

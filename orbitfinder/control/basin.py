@@ -297,7 +297,8 @@ class _Trial:
         self.span, self.random = controller.period / plan.rate, np.random.default_rng([plan.seed, 1])
         self.states, self.times, self.lost = plan.states.copy(), plan.times.copy(), np.zeros(len(plan.states), bool)
         self.places = self.times.copy() if self.law.clock else self.law.start(self.states)
-        self._step, self._lanes = plant_step(model, controller.actuators), Lanes()
+        self._step = compiled(step_of(vector_field(model, controller.actuators)), effort=30.0)
+        self._lanes = Lanes()
         self._watch = None if model.smooth else _Watch(model, controller.actuators, controller)
         self.elapsed = np.zeros(len(plan.states))
 
@@ -333,8 +334,3 @@ class _Trial:
         gone = self.lost | ~np.isfinite(ends).all(axis=1)
         self.states, self.elapsed = np.where(gone[:, None], law.rows[0, : law.size], ends), self.elapsed + spans
         return wanted[:, law.size :], u, np.where(self.lost, np.inf, gap)
-
-
-def plant_step(model: Model, names: Sequence[str]) -> ca.Function:
-    """One Runge-Kutta step of z = (t, x) with p = (h, u)."""
-    return compiled(step_of(vector_field(model, names)), effort=30.0)

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -114,7 +113,10 @@ def stabilise(
     powers = {name: authority(trial.reach([name]), trial.period)[0] for name in trial.names}
     chosen = plant.chosen or (max(powers, key=lambda name: powers[name]),)
     _check_authority(trial, chosen, powers)
-    driven = plant.with_only(chosen)
+    driven = plant.candidates
+    if plant.added:  # with the motors of these names alone
+        joints = [int(name.removeprefix(TORQUE)) for name in chosen]
+        driven = build_model({**orbit.system, "motors": joints})
     given = dict.fromkeys(chosen, limits) if isinstance(limits, (int, float)) else limits or {}
     bounds = {name: driven.limits[name] for name in chosen if name in driven.limits} | checked_limits(given, chosen)
     weights = _weight("Q", Q, trial.units.size), _weight("R", R, len(chosen))
@@ -127,19 +129,11 @@ def stabilise(
 class _Plant:
     """The Model with everything that might act, by `names`; what shall act, () where the best is to be found."""
 
-    orbit: Orbit
     candidates: Model
     names: tuple[str, ...]
     chosen: tuple[str, ...]
     added: bool
     """True where the motors are not the orbit's own"""
-
-    def with_only(self, names: Sequence[str]) -> Model:
-        """The Model with the motors of these names alone."""
-        if not self.added:
-            return self.candidates
-        joints = [int(name.removeprefix(TORQUE)) for name in names]
-        return build_model({**self.orbit.system, "motors": joints})
 
 
 def _plant(orbit: Orbit, model: Model | None, actuators: Sequence[str] | None) -> _Plant:
@@ -177,7 +171,7 @@ def _plant(orbit: Orbit, model: Model | None, actuators: Sequence[str] | None) -
             "actuators: nothing acts on this system; name a parameter that may vary in time (actuators=['force']), or "
             "give the Model controls"
         )
-    return _Plant(orbit, able, names, wanted or own.controls, able is not own)
+    return _Plant(able, names, wanted or own.controls, able is not own)
 
 
 def reference_of(
@@ -190,8 +184,9 @@ def reference_of(
 ) -> Reference:
     """The orbit at `least` or more equal times over its period, an even number, each from the nearest recorded state;
     measured in units of its own, or of a former one."""
-    smooth = model.smooth
-    base = orbit.samples[:-1] if smooth and len(orbit.samples) > 2 and _equal(orbit.times) else orbit.nodes
+    smooth, times, base = model.smooth, orbit.times, orbit.nodes
+    if smooth and len(orbit.samples) > 2 and np.allclose(np.diff(times), times[-1] / (times.size - 1), 1e-6, 0.0):
+        base = orbit.samples[:-1]
     steps = -(-least // len(base))
     steps += steps * len(base) % 2
     field = vector_field(model, ())
@@ -200,10 +195,6 @@ def reference_of(
     states[::steps] = [*base, base[0] + shift(orbit.winding, base.shape[1]) if smooth else states[-1]]
     units = extents_of(model, states, orbit.period) if like is None else like.units
     return Reference(model, tuple(names), orbit.period, states, units, clock)
-
-
-def _equal(times: np.ndarray) -> bool:
-    return bool(np.allclose(np.diff(times), times[-1] / (times.size - 1), rtol=1e-6, atol=0.0))
 
 
 def _check_authority(reference: Reference, chosen: Sequence[str], powers: Mapping[str, float]) -> None:
@@ -268,7 +259,10 @@ def _regulated(orbit: Orbit, reference: Reference, weight: np.ndarray, ease: np.
         weight_state=weight, weight_control=ease, control_units=units,
         open_loop=_sorted(np.linalg.eigvals(reference.reach().transition)),
         predicted=_sorted(np.linalg.eigvals(regulator.monodromy)), multipliers=np.zeros(0, complex), authority={},
-        provenance=_provenance(orbit), event="".join(reference.model.cycle), title=orbit.title,
+        provenance={
+            "orbitfinder": __version__, **versions(),
+            "orbit": {"name": orbit.name, "period": orbit.period, "record": orbit.record},
+        }, event="".join(reference.model.cycle), title=orbit.title,
     )  # fmt: skip
 
 
@@ -304,14 +298,6 @@ def _check_limits(controller: Controller) -> None:
                 f"limits.{name}: the orbit itself takes {own.min():.6g} to {own.max():.6g}, which leaves nothing to "
                 f"correct within {low:.6g} and {high:.6g}; widen them"
             )
-
-
-def _provenance(orbit: Orbit) -> dict[str, Any]:
-    return {
-        "orbitfinder": __version__,
-        **versions(),
-        "orbit": {"name": orbit.name, "period": orbit.period, "record": orbit.record},
-    }
 
 
 def verified(controller: Controller, model: Model | None = None) -> Controller:

@@ -533,7 +533,11 @@ def _fitted(motion: _Controlled) -> tuple[Fit, list[np.ndarray]]:
         max(phases, default=0.0) * float(motion.units.max()) / size, costates[0],
         *_hamiltonian(motion, values, costates),
     )  # fmt: skip
-    return fit, _all_around(motion, adjoint.transitions)
+    transitions, parts = adjoint.transitions, motion.parts
+    if parts.basis.signs:  # of a mirrored half too
+        mirror = mirror_of(parts.model, parts.symmetry)
+        transitions = transitions + [mirror @ transition @ np.linalg.inv(mirror) for transition in transitions]
+    return fit, transitions
 
 
 class _Met:
@@ -751,15 +755,6 @@ class _Adjoint:
             self.by_free[first + arc] += by_h * slope
         else:
             self.by_free[first:] -= by_h * slope
-
-
-def _all_around(motion: _Controlled, transitions: list[np.ndarray]) -> list[np.ndarray]:
-    """State-transition matrices of all segments of the period, those of a mirrored half with it."""
-    parts = motion.parts
-    if not parts.basis.signs:
-        return transitions
-    mirror = mirror_of(parts.model, parts.symmetry)
-    return transitions + [mirror @ transition @ np.linalg.inv(mirror) for transition in transitions]
 
 
 def _conditions(motion: _Controlled, met: _Met, adjoint: _Adjoint) -> tuple[float, list[tuple[str, np.ndarray]]]:

@@ -43,7 +43,11 @@ def auto_files(source: Source) -> dict[str, str]:
 
 def equations(source: Source) -> str:
     """The equations file: FUNC, STPNT with the parameters of the orbit, PVLS with the energy."""
-    comments = "".join(f"! {line}\n" for line in [*source.heading, *_legend()])
+    legend = (
+        f"PAR({UNFOLDING}): the unfolding s, a fictitious damping that is 0 on orbits; PAR({PERIOD}): period",
+        f"PAR({ENERGY}): energy (output); physical parameters from PAR({FIRST}) on",
+    )
+    comments = "".join(f"! {line}\n" for line in [*source.heading, *legend])
     rest = "subroutine FOPT\nend subroutine FOPT\n"
     return "\n".join([comments, _func(source), _stpnt(source), _pvls(source), _boundary(source), rest])
 
@@ -93,11 +97,6 @@ subroutine ICND(NDIM, PAR, ICP, NINT, U, UOLD, UDOT, UPOLD, FI, IJAC, DINT)
 {_parameters_in_par(lines)}
 end subroutine ICND
 """
-
-
-def _legend() -> list[str]:
-    lines = [f"PAR({UNFOLDING}): the unfolding s, a fictitious damping that is 0 on orbits; PAR({PERIOD}): period"]
-    return [*lines, f"PAR({ENERGY}): energy (output); physical parameters from PAR({FIRST}) on"]
 
 
 def _parameters_in_par(lines: list[str]) -> str:

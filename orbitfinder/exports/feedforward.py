@@ -21,19 +21,15 @@ def control_files(orbit: Orbit, model: Model) -> dict[str, str]:
     entry, word, series = orbit.control, word_of(orbit.name), basis_of(orbit.control).degree < 0
     whole = np.array([0.0, orbit.period]), np.array(entry["coefficients"], float)[None]
     edges, table = whole if series else pieces(entry, orbit.period)
+    meaning = "the mean, then cosine and sine of each harmonic of the period" if series else (
+        "the powers of the share s of the piece")  # fmt: skip
     lines = [inert(line, "comment") for line in (
         f"Controls {', '.join(entry['names'])} of {orbit.name!r} (period {orbit.period!r} s), without feedback.",
         f"Written by orbitfinder {__version__}.",
-        f"Of each piece and control: {_meaning(series)}.",
+        f"Of each piece and control: {meaning}.",
     )]  # fmt: skip
     return {f"{word}_control.c": _c(word, lines, edges, table, series),
             f"{word}_control.py": _python(lines, edges, table, series)}  # fmt: skip
-
-
-def _meaning(series: bool) -> str:
-    if series:
-        return "the mean, then cosine and sine of each harmonic of the period"
-    return "the powers of the share s of the piece"
 
 
 def _c(word: str, lines: list[str], edges: np.ndarray, table: np.ndarray, series: bool) -> str:

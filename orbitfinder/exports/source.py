@@ -195,9 +195,12 @@ def straight_line(
     Structural zeros of an output are assigned too. Raises `InputError` for what cannot be written out.
     """
     scalar = expanded(function)
-    names, lines = operations(), _structural_zeros(scalar, language, outputs)
+    names, lines = operations(), list[str]()
     read = [scalar.sparsity_in(k).find() for k in range(scalar.n_in())]
     written = [scalar.sparsity_out(k).find() for k in range(scalar.n_out())]
+    for k, output in enumerate(outputs):
+        zeros = sorted({*range(scalar.numel_out(k))} - {*written[k]})
+        lines += [f"{language.entry(output, e)} = {language.number(0.0)}{language.end}" for e in zeros]
     for step in range(scalar.n_instructions()):
         name, left = names[scalar.instruction_id(step)], scalar.instruction_output(step)
         used = scalar.instruction_input(step)
@@ -212,14 +215,6 @@ def straight_line(
             value = operation(name, language).format(*(language.entry(work, place) for place in used))
         lines.append(f"{target} = {value}{language.end}")
     return lines, max(1, scalar.sz_w())
-
-
-def _structural_zeros(scalar: ca.Function, language: Language, outputs: Sequence[str]) -> list[str]:
-    zero, lines = language.number(0.0) + language.end, []
-    for k, output in enumerate(outputs):
-        there = set(scalar.sparsity_out(k).find())
-        lines += [f"{language.entry(output, e)} = {zero}" for e in range(scalar.numel_out(k)) if e not in there]
-    return lines
 
 
 def operation(name: str, language: Language) -> str:

@@ -101,7 +101,13 @@ class _Reading:
         if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
             return float(node.value)
         if isinstance(node, ast.Name):
-            return self._named(node.id.removesuffix(MARK))
+            name = node.id.removesuffix(MARK)
+            if name == "pi":
+                return math.pi
+            if name not in self.known:
+                listed = shortened(", ".join(self.known), 300)
+                raise InputError(f"{self.where}: unknown name {name!r}{closest(name, self.known)}; known are {listed}")
+            return self.known[name]
         if isinstance(node, ast.BinOp) and type(node.op) in _OPERATIONS:
             return self._chain(node, depth)
         if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATIONS:
@@ -122,14 +128,6 @@ class _Reading:
             f"{self.where}: {self._shown(node)} is not allowed{meant}; use numbers, names, + - * / **, brackets "
             f"and {', '.join(self.calls)}"
         )
-
-    def _named(self, name: str) -> Any:
-        if name == "pi":
-            return math.pi
-        if name not in self.known:
-            listed = shortened(", ".join(self.known), 300)
-            raise InputError(f"{self.where}: unknown name {name!r}{closest(name, self.known)}; known are {listed}")
-        return self.known[name]
 
     def _chain(self, node: ast.BinOp, depth: int) -> Any:
         """a + b + c + ..., from the left: as long as it may be, it is not nested."""

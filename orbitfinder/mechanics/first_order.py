@@ -41,19 +41,18 @@ class Named(tuple[Any, ...]):
 
     def __getitem__(self, key: Any) -> Any:
         """An entry by its number or its name."""
-        return super().__getitem__(self._place(key) if isinstance(key, str) else key)
+        if isinstance(key, str):
+            if key not in self.names:
+                known = ", ".join(self.names) or "none"
+                raise InputError(f"field: unknown name {key!r}{closest(key, self.names)}; known are {known}")
+            key = self.names.index(key)
+        return super().__getitem__(key)
 
     def __getattr__(self, name: str) -> Any:
         """An entry by its name."""
         if name.startswith("__") or name == "names":
             raise AttributeError(name)
         return self[name]
-
-    def _place(self, name: str) -> int:
-        if name not in self.names:
-            known = ", ".join(self.names) or "none"
-            raise InputError(f"field: unknown name {name!r}{closest(name, self.names)}; known are {known}")
-        return self.names.index(name)
 
 
 @contextmanager
@@ -127,7 +126,12 @@ def ode(
     """
     values = _parameters(parameters)
     symbols = _Symbols(states, values)
-    rate = ca.vertcat(*_components(field, symbols))
+    with in_symbols("field"):
+        rates = field(symbols.t, symbols.x, symbols.p)
+        parts = ca.vertsplit(ca.vec(rates)) if isinstance(rates, ca.SX) else list(rates)
+    if len(parts) != len(symbols.names):
+        raise InputError(f"field: {len(parts)} rates for {len(symbols.names)} states; give one each, in their order")
+    rate = ca.vertcat(*(_scalar(f"field: {name}", part) for name, part in zip(symbols.names, parts, strict=True)))
     _check_rates(rate, symbols, forcing_period)
     integrals = invariants
     if isinstance(integrals, Mapping):
@@ -315,16 +319,6 @@ def _sense(name: str, sense: int) -> int:
     if sense not in (1, -1):
         raise InputError(f"symmetries: {name!r} has the sense of time {sense!r}; give 1, or -1 for time run backwards")
     return sense
-
-
-def _components(field: Field, symbols: _Symbols) -> list[ca.SX]:
-    """x' as expressions, one for each component. Raises `InputError`."""
-    with in_symbols("field"):
-        rates = field(symbols.t, symbols.x, symbols.p)
-        parts = ca.vertsplit(ca.vec(rates)) if isinstance(rates, ca.SX) else list(rates)
-    if len(parts) != len(symbols.names):
-        raise InputError(f"field: {len(parts)} rates for {len(symbols.names)} states; give one each, in their order")
-    return [_scalar(f"field: {name}", part) for name, part in zip(symbols.names, parts, strict=True)]
 
 
 def _scalar(name: str, value: Any) -> ca.SX:

@@ -425,7 +425,7 @@ def widened(model: Model, count: int, kept: int) -> Model:
 def _transition(transition: Transition, model: Model) -> Transition:
     told = f"transition {transition.name}"
     guard = _number("guard", transition.guard, model, f"{told}: guard")
-    reset = _function("reset", transition.reset or _unchanged, model, f"{told}: reset")
+    reset = _function("reset", transition.reset or (lambda x, _: ca.vertcat(*x)), model, f"{told}: reset")
     if not guard.jac_sparsity(0, 0).nnz():
         raise InputError(f"{told}: guard does not change with the state and is never crossed; name a state")
     size = len(model.state_names)
@@ -442,10 +442,6 @@ def gradient(guard: ca.Function) -> ca.Function:
     """Its derivative (1 x d) by the state, a function of (x, p) too."""
     x, p = (guard.sx_in if guard.is_a("SXFunction") else guard.mx_in)()
     return ca.Function("slope", [x, p], [ca.densify(ca.jacobian(guard(x, p), x))])
-
-
-def _unchanged(x: Named, _: Named) -> Any:
-    return ca.vertcat(*x)
 
 
 def _function(name: str, expression: Expression, model: Model, told: str) -> ca.Function:

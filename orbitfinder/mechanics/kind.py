@@ -210,15 +210,6 @@ def _controlled(model: Model, system: Table) -> Model:
     return replace(controlled, system={**model.system, **given})
 
 
-def module_file(module: str, folder: Path) -> Path | None:
-    """Where a trusted module lies: beside the file that names it, else in the working folder; None: installed.
-
-    The one answer for every command: an orbit.json is seldom in the folder of the problem that it came from.
-    """
-    places = (folder / f"{module}.py", Path.cwd() / f"{module}.py")
-    return next((place for place in places if place.is_file()), None)
-
-
 def _built_in(name: str) -> Callable[..., Any]:
     filled("kinds")
     if name not in FUNCTIONS:
@@ -237,7 +228,8 @@ def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]
     if not all(part.isidentifier() for part in module.split(".")):
         raise InputError(f"system.module: {module!r} is no module name; give one such as 'my_system' (my_system.py)")
     try:
-        if (place := module_file(module, trusted)) is not None:
+        places = (trusted / f"{module}.py", Path.cwd() / f"{module}.py")  # an orbit.json is seldom beside its problem
+        if (place := next((place for place in places if place.is_file()), None)) is not None:
             spec = importlib.util.spec_from_file_location(f"orbitfinder_trusted_{module}", place)
             assert spec is not None and spec.loader is not None
             imported = importlib.util.module_from_spec(spec)

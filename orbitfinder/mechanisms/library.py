@@ -481,21 +481,17 @@ def lorenz(sigma: float = 10.0, rho: float = 28.0, beta: float = 8 / 3) -> Model
     Orbits may have the symmetry "turn": half a period later (x, y, z) is (-x, -y, z).
     Source: E. N. Lorenz, Journal of the Atmospheric Sciences 20 (1963) 130-141.
     """
-
-    def field(_: Any, x: Named, p: Named) -> Any:
-        return [p.sigma * (x.y - x.x), x.x * (p.rho - x.z) - x.y, x.x * x.y - p.beta * x.z]
-
-    made = ingredients(1, {"sigma": sigma, "rho": rho, "beta": beta})
-    return made.first_order("lorenz", field, ("x", "y", "z"), symmetries={"turn": (1, {"x": -1, "y": -1})})
+    return ingredients(1, locals()).first_order(
+        "lorenz", lambda _, x, p: [p.sigma * (x.y - x.x), x.x * (p.rho - x.z) - x.y, x.x * x.y - p.beta * x.z],
+        ("x", "y", "z"), symmetries={"turn": (1, {"x": -1, "y": -1})},
+    )  # fmt: skip
 
 
 def rossler(a: float = 0.2, b: float = 0.2, c: float = 5.7) -> Model:
     """x' = -y - z, y' = x + a y, z' = b + z (x - c). Source: O. E. Rössler, Physics Letters A 57 (1976) 397-398."""
-
-    def field(_: Any, x: Named, p: Named) -> Any:
-        return [-x.y - x.z, x.x + p.a * x.y, p.b + x.z * (x.x - p.c)]
-
-    return ingredients(1, {"a": a, "b": b, "c": c}).first_order("rossler", field, ("x", "y", "z"))
+    return ingredients(1, locals()).first_order(
+        "rossler", lambda _, x, p: [-x.y - x.z, x.x + p.a * x.y, p.b + x.z * (x.x - p.c)], ("x", "y", "z")
+    )
 
 
 def brusselator(feed: float = 1.0, rate: float = 3.0) -> Model:
@@ -503,12 +499,13 @@ def brusselator(feed: float = 1.0, rate: float = 3.0) -> Model:
 
     Source: I. Prigogine, R. Lefever, Journal of Chemical Physics 48 (1968) 1695-1700.
     """
+    made = ingredients(1, locals(), ("feed", "rate"))
 
     def field(_: Any, x: Named, p: Named) -> Any:
         made = x.u**2 * x.v
         return [p.feed - (p.rate + 1) * x.u + made, p.rate * x.u - made]
 
-    return ingredients(1, {"feed": feed, "rate": rate}, ("feed", "rate")).first_order("brusselator", field, ("u", "v"))
+    return made.first_order("brusselator", field, ("u", "v"))
 
 
 def fitzhugh_nagumo(current: float = 0.5, a: float = 0.7, b: float = 0.8, rate: float = 0.08) -> Model:
@@ -516,12 +513,11 @@ def fitzhugh_nagumo(current: float = 0.5, a: float = 0.7, b: float = 0.8, rate: 
 
     Source: R. FitzHugh, Biophysical Journal 1 (1961) 445-466.
     """
-
-    def field(_: Any, x: Named, p: Named) -> Any:
-        return [x.v - x.v**3 / 3 - x.w + p.current, p.rate * (x.v + p.a - p.b * x.w)]
-
-    made = ingredients(1, {"current": current, "a": a, "b": b, "rate": rate}, ("rate",))
-    return made.first_order("fitzhugh_nagumo", field, ("v", "w"))
+    return ingredients(1, locals(), ("rate",)).first_order(
+        "fitzhugh_nagumo",
+        lambda _, x, p: [x.v - x.v**3 / 3 - x.w + p.current, p.rate * (x.v + p.a - p.b * x.w)],
+        ("v", "w"),
+    )
 
 
 def hodgkin_huxley(current: float = 10.0) -> Model:

@@ -274,18 +274,12 @@ def _dyad(model: Model, fixed: Mapping[int, float], branch: int | None, guess: n
     for sign in (1, -1):
         angles = _bar_angles(model, known, ca.SX(model.parameter_values), bars, sign)
         solution = ca.evalf(angles).full().ravel()
-        solutions[sign] = solution if guess is None else _wound(solution, guess, (i, j))
+        if guess is not None:  # to within pi of the guess
+            solution[[i, j]] += 2 * np.pi * np.round((guess[[i, j]] - solution[[i, j]]) / (2 * np.pi))
+        solutions[sign] = solution
     if branch is not None or guess is None:
         return solutions[branch or 1]
     return min(solutions.values(), key=lambda solution: float(np.linalg.norm(solution - guess)))
-
-
-def _wound(theta: np.ndarray, guess: np.ndarray, which: tuple[int, int]) -> np.ndarray:
-    """The two computed angles moved by whole turns to within pi of the guess's."""
-    result = theta.copy()
-    for k in which:
-        result[k] += 2 * np.pi * np.round((guess[k] - theta[k]) / (2 * np.pi))
-    return result
 
 
 def _check_reach(lengths: np.ndarray, fixed: Mapping[int, float], pair: tuple[int, int], distance: float) -> None:

@@ -22,13 +22,6 @@ REACH = 10.0
 """Half the length (m) of the straight ground that is drawn; pictures cut it off"""
 
 
-def _swinging(made: Ingredients, name: str, rates: ca.SX, names: list[str], points: ca.SX) -> Model:
-    """Angles of unit masses moved by given accelerations."""
-    return made.model(
-        name, ca.sumsqr(made.v) / 2, ca.SX(0), forces=rates, names=names, angles=[True] * len(names), points=points
-    )
-
-
 def _machine(
     modes: Sequence[Mode], transitions: Sequence[Transition], ground: Expression, conserved: Sequence[str] = ()
 ) -> Model:
@@ -74,7 +67,10 @@ def simplest_walker(slope: float = 0.009) -> Model:
     swing = stance + rate**2 * ca.sin(phi) - ca.cos(tilt) * ca.sin(phi)
     hip = _along(tilt)
     drawn = ca.horzcat(ca.SX.zeros(2), _downwards(hip), _downwards(hip - _along(tilt - phi)))
-    model = _swinging(made, "simplest_walker", ca.vertcat(stance, swing), ["theta", "phi"], drawn)
+    model = made.model(
+        "simplest_walker", ca.sumsqr(made.v) / 2, ca.SX(0), forces=ca.vertcat(stance, swing),
+        names=["theta", "phi"], angles=[True, True], points=drawn,
+    )  # fmt: skip
 
     def strike(x: Named, _: Named) -> ca.SX:
         turn = ca.cos(2 * x.theta)
@@ -108,15 +104,16 @@ class _Legs:
         potential = sum((m * made["gravity"] * place[1] for m, place in self.masses), ca.SX(0))
         return made.model(self.function, kinetic, potential, **parts)
 
-    def ground_force(self, model: Model) -> ca.Function:
-        """The force on the stance foot (right, up): what accelerates the masses, and their weight."""
+    def ground_force(self, model: Model) -> dict[str, Expression]:
+        """That on the stance foot along the slope's normal: what accelerates the masses, and their weight."""
         made = self.made
         momentum = ca.jtimes(sum((m * place for m, place in self.masses), ca.SX.zeros(2)), made.q, made.v)
         rates = ca.jtimes(momentum, made.q, made.v) + ca.jacobian(momentum, made.v) @ model.acceleration(
             0, made.q, made.v, made.parameters
         )
         weight = sum((m for m, _ in self.masses), ca.SX(0)) * made["gravity"]
-        return ca.Function("force", [ca.vertcat(made.q, made.v), made.parameters], [rates + ca.vertcat(0, weight)])
+        force = ca.Function("force", [ca.vertcat(made.q, made.v), made.parameters], [rates + ca.vertcat(0, weight)])
+        return {"ground force": lambda x, p: ca.dot(_normal(p), force(ca.vertcat(*x), ca.vertcat(*p)))}
 
     def swing_foot(self) -> ca.Function:
         """(q, p) -> where the swing foot is (right, up)."""
@@ -200,7 +197,7 @@ def compass(function: str, given: Mapping[str, float], controls: tuple[str, ...]
     names, drawn = ["stance", "swing"], ca.horzcat(ca.SX.zeros(2), _downwards(fixed.hip), _downwards(fixed.tip))
     model = fixed.model(names=names, angles=[True, True], points=drawn, **torques)
     lifted = floating.model(names=["x", "y", *names], angles=[False, False, True, True])
-    foot, ground = fixed.swing_foot(), fixed.ground_force(model)
+    foot, force = fixed.swing_foot(), fixed.ground_force(model)
     struck, whole = _struck(lifted, floating.swing_foot())
 
     def after(x: Named, p: Named) -> Any:
@@ -213,7 +210,6 @@ def compass(function: str, given: Mapping[str, float], controls: tuple[str, ...]
         impulse=lambda x, p: struck.impulse(whole(x), p), lost=lambda x, p: struck.lost(whole(x), p),
         advance=lambda x, p: _downwards(foot(ca.vertcat(*x[:2]), ca.vertcat(*p))),
     )  # fmt: skip
-    force = {"ground force": lambda x, p: ca.dot(_normal(p), ground(ca.vertcat(*x), ca.vertcat(*p)))}
     return _machine([Mode("step", model, force)], [strikes], _slope)
 
 
@@ -297,14 +293,9 @@ def _on_knees(function: str, given: Mapping[str, float]) -> Model:
             advance=lambda x, p: _downwards(foot(ca.vertcat(*x[:3]), ca.vertcat(*p))),
         ),
     ]  # fmt: skip
-
-    def pushing(model: Model) -> dict[str, Any]:
-        ground = fixed.ground_force(model)
-        return {"ground force": lambda x, p: ca.dot(_normal(p), ground(ca.vertcat(*x), ca.vertcat(*p)))}
-
     modes = [
-        Mode("free", free, pushing(free) | {"knee": lambda x, p: x.thigh - x.shank}),
-        Mode("locked", locked, pushing(locked) | {"foot": height}),
+        Mode("free", free, fixed.ground_force(free) | {"knee": lambda x, p: x.thigh - x.shank}),
+        Mode("locked", locked, fixed.ground_force(locked) | {"foot": height}),
     ]
     return _machine(modes, transitions, _slope)
 
@@ -624,12 +615,12 @@ def impact_oscillator(
     Vibration 90 (1983) 129-155.
     """
     made = ingredients(1, locals(), ("frequency",))
-
-    def field(_: Any, x: Named, p: Named) -> list[Any]:
-        return [x.v, p.force * ca.cos(x.phase) - p.damping * x.v - x.x, p.frequency]
-
     model = made.first_order(
-        "impact_oscillator", field, ("x", "v", "phase"), angles=("phase",), points=lambda x, p: ca.vertcat(0, x.x)
+        "impact_oscillator",
+        lambda _, x, p: [x.v, p.force * ca.cos(x.phase) - p.damping * x.v - x.x, p.frequency],
+        ("x", "v", "phase"),
+        angles=("phase",),
+        points=lambda x, p: ca.vertcat(0, x.x),
     )
     hit = Transition(
         "hit", "free", "free", guard=lambda x, p: x.x - p.stop, direction=1,

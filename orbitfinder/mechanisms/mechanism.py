@@ -700,8 +700,15 @@ class _Energies:
         for name, table in made.tables("dampers").items():
             spent += _damper(made, name, table, (q, v, t))
         for name, table in made.tables("motors").items():
-            joint = _coordinate(made, f"motors.{name}", table)
-            work += _torque(numbers, name, table, clock) * _rate(joint, q, v, t)
+            where = f"motors.{name}"
+            joint = _coordinate(made, where, table)
+            torque = numbers.new(name, _number(f"{where}.torque", table.get("torque", 0.0)))  # a parameter of its name
+            swing, late = (
+                numbers(f"{where}.{key}", f"{name}_{key}", table.get(key, 0.0)) for key in ("amplitude", "phase")
+            )
+            if isinstance(swing, ca.SX):
+                torque = torque + swing * ca.cos(clock[1] * clock[0] + late)
+            work += torque * _rate(joint, q, v, t)
         acting = ca.gradient(work - spent, v) if made.tables("motors") or made.tables("dampers") else None
         controls = tuple(
             name for name, motor in made.tables("motors").items() if not (motor.get("torque") or motor.get("amplitude"))
@@ -877,15 +884,6 @@ def _rate(value: ca.SX, q: ca.SX, v: ca.SX, t: ca.SX) -> ca.SX:
     return ca.jtimes(value, q, v) + ca.jacobian(value, t)
 
 
-def _torque(numbers: _Numbers, name: str, table: Table, clock: tuple[ca.SX, ca.SX]) -> ca.SX | float:
-    """A motor's torque (N m) or force (N), torque + amplitude cos(w t + phase); it is the parameter named like it."""
-    steady = numbers.new(name, _number(f"motors.{name}.torque", table.get("torque", 0.0)))
-    swing, late = (
-        numbers(f"motors.{name}.{key}", f"{name}_{key}", table.get(key, 0.0)) for key in ("amplitude", "phase")
-    )
-    return steady + swing * ca.cos(clock[1] * clock[0] + late) if isinstance(swing, ca.SX) else steady
-
-
 def _coordinate(made: _Drawing, where: str, table: Table) -> ca.SX:
     """The angle (rad) or slide (m) of a joint, of what closes a loop too; `InputError` for others."""
     name = str(table.get("joint"))
@@ -1031,7 +1029,9 @@ def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], 
             rims = [ca.densify(com) + float(table["disc"]) * _eye()[:, k] for k in range(3) if k != axle]
             seen = (com, *rims) if made.dimension == 3 else (com, rims[0])
             strokes.append(("disc", tuple(place(name, at) for at in seen)))
-        points = [_plain_point(point, made.dimension) for point in table["shape"]] if "shape" in table else held[name]
+        flat, points = [0.0] * (3 - made.dimension), held[name]
+        if "shape" in table:
+            points = [ca.SX([*map(float, point), *flat]) for point in table["shape"]]
         if len(points) < 2 and (made.dimension == 3 or "disc" not in table):
             ends = [_solid_end(*solids[name], at) if name in solids else _rod_end(table, at, com) for at in points]
             points = [*points, *ends, *([] if points else [com])]
@@ -1078,10 +1078,6 @@ def _rod_end(table: Table, at: ca.SX, com: ca.SX) -> ca.SX:
 def _among(at: ca.SX, points: Sequence[ca.SX]) -> bool:
     """Whether a point is among some, as an expression."""
     return any(ca.is_equal(ca.densify(at), ca.densify(point), 9) for point in points)
-
-
-def _plain_point(entry: Any, dimension: int) -> ca.SX:
-    return ca.SX([float(number) for number in entry] + [0.0] * (3 - dimension))
 
 
 def _articulated(made: _Drawing, pushed: ca.SX, gravity: ca.SX) -> tuple[ca.SX, ca.SX]:

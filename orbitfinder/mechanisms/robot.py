@@ -147,31 +147,20 @@ def robot(
         `of.mechanism`, which it makes.
     """
     path = Path(file)
-    data = _file(path)
-    made = _numbers(path, data)
+    try:
+        data = file_bytes(path, "URDF or MJCF file", LARGEST)
+    except InputError as error:
+        raise InputError(f"file: {error}") from error
+    read = {"robot": _urdf, "mujoco": _mjcf}.get(_root(data))
+    if read is None:
+        raise InputError(f"file: {path.name} is no robot; give a URDF (<robot ...>) or an MJCF file (<mujoco ...>)")
+    made = _checked(read(path, data))
     made = _afloat(made) if floating else made
     system, moving, solids = _tables(made, locked)
     system |= _acting(made, moving, stiffness, rest or {}, damping, motors)
     drawn: dict[str, Any] = {"file": path.name, "sha256": hashlib.sha256(data).hexdigest()}
     drawn |= {"solids": shapes.described(solids)} if solids else {}
     return mechanism(**system, dimension=3, gravity=_fall(made, gravity), drawn=drawn, values=values)
-
-
-def _file(path: Path) -> bytes:
-    try:
-        return file_bytes(path, "URDF or MJCF file", LARGEST)
-    except InputError as error:
-        raise InputError(f"file: {error}") from error
-
-
-def _numbers(path: Path, data: bytes) -> _Read:
-    """A file's bodies and joints; `InputError` for what is no robot."""
-    match _root(data):
-        case "robot":
-            return _checked(_urdf(path, data))
-        case "mujoco":
-            return _checked(_mjcf(path, data))
-    raise InputError(f"file: {path.name} is no robot; give a URDF (<robot ...>) or an MJCF file (<mujoco ...>)")
 
 
 def _root(data: bytes) -> str:

@@ -72,7 +72,10 @@ def from_sympy(
     reader = _Reader(sympy, dynamicsymbols._t, coordinates, rates, values)
     if isinstance(method, KanesMethod):
         reader.renamed = _speeds(method, speeds, rates)
-        level = _of_bodies(method, potential)
+        if not method.bodies:
+            raise InputError("method: has no bodies; form Kane's equations (kanes_equations(bodies, loads)) first")
+        kinetic = sum(body.kinetic_energy(method._inertial) for body in method.bodies)
+        level = kinetic - (sum(body.potential_energy for body in method.bodies) if potential is None else potential)
     else:
         level = method._L[0] if potential is None else method._L[0] - sympy.sympify(potential)
     energy = reader(level)
@@ -119,14 +122,6 @@ def _speeds(method: Any, speeds: list[Any], rates: list[Any]) -> dict[Any, Any]:
                 "speeds, in the order of the coordinates"
             )
     return dict(zip(speeds, rates, strict=True))
-
-
-def _of_bodies(method: Any, potential: Any) -> Any:
-    """T - V of the bodies of Kane's method."""
-    if not method.bodies:
-        raise InputError("method: has no bodies; form Kane's equations (kanes_equations(bodies, loads)) first")
-    kinetic = sum(body.kinetic_energy(method._inertial) for body in method.bodies)
-    return kinetic - (sum(body.potential_energy for body in method.bodies) if potential is None else potential)
 
 
 def _beyond(method: Any, lagrangian: ca.SX, reader: _Reader, controls: Sequence[str]) -> ca.SX | None:

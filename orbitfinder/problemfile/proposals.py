@@ -129,7 +129,8 @@ def returns(loaded: ProblemFile, duration: float | None, count: int) -> list[Pro
     else:
         if loaded.start is None:
             raise InputError("nothing to simulate from; give simulate.state or a [guess]")
-        span = duration if duration is not None else _span(loaded, guess)
+        asked = duration if duration is not None else loaded.document.get("simulate", {}).get("duration")
+        span = float(asked) if asked else (12.0 * guess.period if guess is not None else loaded.duration)
         passes = recurrences(loaded.model, loaded.start, span, count)
         source = "simulation"
     if not passes:
@@ -148,11 +149,6 @@ def _recorded(loaded: ProblemFile, guess: Guess) -> bool:
     """True when the guess is somebody's trajectory, not simulated for it."""
     table = loaded.document.get("guess", {})
     return guess.times is not None and ("csv" in table or not table)
-
-
-def _span(loaded: ProblemFile, guess: Guess | None) -> float:
-    asked = loaded.document.get("simulate", {}).get("duration")
-    return float(asked) if asked else (12.0 * guess.period if guess is not None else loaded.duration)
 
 
 def motion(loaded: ProblemFile, guess: Guess) -> tuple[np.ndarray, np.ndarray]:

@@ -174,9 +174,11 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
     name = table.name or checked_name(source.stem)
     system = table.system.model_dump(exclude_none=True)
     system = system_kind(system).with_content(system, source.parent)
-    model = (
-        robot_of(system, source.parent) if "file" in system else build_model(system, source.parent if trust else None)
-    )
+    if "file" in system:
+        options = {key: value for key, value in system.items() if key not in ("kind", "file")}
+        model = robot(source.parent / system["file"], **options)
+    else:
+        model = build_model(system, source.parent if trust else None)
     model, problem = with_units(model, table.units), None
     if table.guess is not None and not _resting(table.guess, model):
         guess = replace(guess_from_table(table.guess, model, source.parent), free=table.guess.free)
@@ -193,12 +195,6 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
 def _resting(given: GuessTable, model: Model) -> bool:
     """Whether a guess is a state alone, which equilibria start from: no period is given and nothing drives it."""
     return given.state is not None and given.period is given.duration is model.forcing_period is None
-
-
-def robot_of(system: Mapping[str, Any], folder: Path) -> Model:
-    """The Model of a robot whose file lies in a folder."""
-    options = {key: value for key, value in system.items() if key not in ("kind", "file")}
-    return robot(folder / system["file"], **options)
 
 
 def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Problem:

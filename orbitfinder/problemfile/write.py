@@ -149,9 +149,13 @@ def _line(text: Any) -> str:
     return "".join(letter if letter.isprintable() else " " for letter in str(text))[:300]
 
 
+KEY = re.compile("[A-Za-z0-9_-]+")
+"""Keys that TOML takes without quotation marks"""
+
+
 def entries(table: Table) -> list[str]:
     """The lines of a TOML table."""
-    return [f"{_key(str(key))} = {toml(value)}" for key, value in table.items()]
+    return [f"{key if KEY.fullmatch(str(key)) else inert(key, 'toml')} = {toml(value)}" for key, value in table.items()]
 
 
 def toml(value: Any) -> str:
@@ -167,7 +171,3 @@ def toml(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(map(toml, value))}]"
     raise TypeError(f"{value!r} has no form in TOML")
-
-
-def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else inert(name, "toml")

@@ -242,12 +242,6 @@ def _turning(codes: Programs, values: Sequence[Any], plain: Field, ring: Ring) -
     return codes.clock.factor.numerator * (value if plain.plain.fixed[place] > 0 else -value)
 
 
-def _phase(codes: Programs, cycles: int, drive: Any) -> Any:
-    """What the phase is after so many of the drive's periods, which last as long as a ball says."""
-    assert codes.clock is not None
-    return drive if codes.clock.value is None else 2 * cycles * codes.clock.factor.denominator * arb.pi()
-
-
 # --------------------------------------------------------------------------------------------------
 # The record, which says which equations are solved and where, and what is proved of their zero.
 
@@ -340,7 +334,9 @@ class _EventProof:
         given = (symmetry, model.degrees_of_freedom, about.segments, about.constants, about.turns)
         self.plain = Formulation(*given, integral, drive)
         check_graph(codes, self.plain, model)
-        fold, phase = about.twist == (1, 1), None if drive is None else _phase(codes, about.cycles, drive)
+        fold, phase = about.twist == (1, 1), drive
+        if codes.clock is not None and codes.clock.value is not None:  # what it is after so many of the drive's periods
+            phase = 2 * about.cycles * codes.clock.factor.denominator * arb.pi()
         self.form = TwistedFormulation(*given, integral and fold, phase, (), about.twist, not integral, integral)
         if not self.form.square:
             raise NotProved(f"{symmetry.name} leaves not as many equations as unknowns here; use none")

@@ -321,19 +321,15 @@ class _RestTheorem:
             image, contraction = contracted(values, self.evaluated(box)[1], box)
             best = min(best, contraction)
             if inside(box, image):
-                return self.unknowns(self._sharp(image)), float(size), contraction
+                for _ in range(SHARPER):  # the same zero, enclosed by the operator's images of its images
+                    sharper = contracted(self.evaluated(midpoints(image))[0], self.evaluated(image)[1], image)[0]
+                    if radius(sharper) > 0.5 * radius(image):
+                        break
+                    image = sharper
+                return self.unknowns(image), float(size), contraction
         raise NotProved(
             f"the interval Newton operator maps no box into itself; contraction {best:.3g}: it may be singular"
         )
-
-    def _sharp(self, box: Vector) -> Vector:
-        """The same zero, enclosed by the operator's images of its images."""
-        for _ in range(SHARPER):
-            image = contracted(self.evaluated(midpoints(box))[0], self.evaluated(box)[1], box)[0]
-            if radius(image) > 0.5 * radius(box):
-                break
-            box = image
-        return box
 
 
 class _FoldTheorem(_RestTheorem):

@@ -81,7 +81,10 @@ def programs(model: Model, constrained: bool = False) -> Programs:
         )
     for invariant in model.invariants:
         push = s * invariant.unfolding(q, v, p)
-        check_unfolding(program(invariant.unfolding), n)
+        code = program(invariant.unfolding)
+        places = {value: (argument, entry) for value, argument, entry in code.inputs}
+        if [places.get(code.outputs[0].get(i, -1)) for i in range(n)] != [(1, i) for i in range(n)]:
+            raise InputError("invariants: the energy's unfolding is not the velocity; the theorem needs a + s v")
         energy = derived("energy", inputs, invariant.value(q, v, p), lambda exact: [exact, ca.gradient(exact, x)])
         mass = derived("mass", inputs, model.kinetic(q, v, p), lambda exact: [ca.hessian(exact, v)[0]])
     rates, slopes = with_slopes("accelerations", inputs, source, ca.vertcat(x, s), lambda e: accelerations(e) + push)
@@ -211,13 +214,6 @@ def check_provable(model: Model, constrained: bool = False) -> None:
         )
 
 
-def check_unfolding(code: ScalarProgram, size: int) -> None:
-    """`InputError` unless the energy is unfolded by a + s v, which is what the theorem's sign argument is about."""
-    places = {value: (argument, entry) for value, argument, entry in code.inputs}
-    if [places.get(code.outputs[0].get(i, -1)) for i in range(size)] != [(1, i) for i in range(size)]:
-        raise InputError("invariants: the energy's unfolding is not the velocity; the theorem needs a + s v")
-
-
 @dataclass(frozen=True)
 class Field:
     """The field with its parameters filled in, at the precision in force when it was made."""
@@ -320,7 +316,17 @@ class Jet:
         self.n, self.order, self.z, self.code = n, order, z, field.plain
         self.unfolding, self.tau = z[d], z[d + 1]
         self.states: list[Vector] = [[value] for value in z[:d]]
-        self.values = coefficients(self.code, order - 1, self._variables)
+
+        def variables(k: int, accelerations: list[Vector]) -> Vector:
+            if k:
+                self._grow(k, accelerations)
+            beyond = arb(0) if k else self.unfolding
+            return [
+                beyond if argument == 2 else self.states[entry + n * argument][k]
+                for _, argument, entry in self.code.variables
+            ]
+
+        self.values = coefficients(self.code, order - 1, variables)
         first = self.results()[0]
         self._grow(order, [first.get(i, [arb(0)] * order) for i in range(n)])
 
@@ -351,11 +357,6 @@ class Jet:
             for k, matrix in enumerate(blocks)
         ]
 
-    def _variables(self, k: int, accelerations: list[Vector]) -> Vector:
-        if k:
-            self._grow(k, accelerations)
-        return [self._coefficient(argument, entry, k) for _, argument, entry in self.code.variables]
-
     def _grow(self, k: int, accelerations: list[Vector]) -> None:
         """Coefficients of order k of the state from those of order k - 1 of the accelerations."""
         n, factor = self.n, self.tau / k
@@ -363,12 +364,6 @@ class Jet:
             self.states[i].append(factor * self.states[n + i][k - 1])
         for series, rate in zip(self.states[-n:], accelerations, strict=True):
             series.append(factor * rate[k - 1])
-
-    def _coefficient(self, argument: int, entry: int, k: int) -> Any:
-        """Coefficient k of an argument (q, v, s) of the programs."""
-        if argument == 2:
-            return self.unfolding if k == 0 else arb(0)
-        return self.states[entry + self.n * argument][k]
 
 
 def rate_series(n: int, states: Sequence[Vector], accelerations: Mapping[int, Vector], order: int) -> list[Vector]:

@@ -229,7 +229,9 @@ def approach(
     if symmetry.reverses:
         times = np.linspace(0.0, period, SCAN + 1)
         begin = symmetric_instant(field, times, integrate(field, orbit.state, times, SECOND), symmetry, angles, phase)
-    parts, count = symmetry.parts, segments or default_segments(orbit, symmetry)
+    parts, largest = symmetry.parts, float(np.abs(orbit.floquet_multipliers).max(initial=1.0))
+    # so many that none stretches by much more than 30 times
+    count = segments or 4 + int(np.log(max(largest, 1.0)) / np.log(30.0) / parts)
     grid = begin + np.linspace(0.0, period / parts, count + 1)
     path = integrate(field, orbit.state, np.concatenate([[0.0], grid]) if begin > 0 else grid, SECOND)[-count - 1 :]
     constants = symmetry.constants(angles, path[0], path[-1], orbit.winding) / np.pi
@@ -240,12 +242,6 @@ def approach(
         nodes, flow = np.column_stack([nodes, grid[:-1]]), np.append(flow, 1.0)
     form = Formulation(symmetry, n, count, tuple(map(round, constants)), turns, bool(model.invariants), drive)
     return Approach(form, nodes, period / parts / count, (-begin / period) % 1.0, flow)
-
-
-def default_segments(orbit: Orbit, symmetry: Symmetry) -> int:
-    """At least four, and so many that none stretches by much more than 30 times."""
-    largest = float(np.abs(orbit.floquet_multipliers).max(initial=1.0))
-    return 4 + int(np.log(max(largest, 1.0)) / np.log(30.0) / symmetry.parts)
 
 
 def symmetric_instant(

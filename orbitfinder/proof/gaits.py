@@ -230,24 +230,19 @@ def _fault(arc: GuardedArc, passed: Passed) -> str:
                 if not arc.value(code, x)[0][0] > 0:
                     return f"{name} could become negative before {arc.transition.name}"
             for each in arc.leaving:
-                quiet, rising, allowed = _quiet(arc, each, x)
+                (value,), slope = arc.value(arc.guards[each.name], x)
+                rising = each.direction * (slope * arc.rate(x))[0, 0]  # how fast it goes in its direction there
+                allowed = arb(1) if each.allowed is None else arc.value(arc.allowed[each.name], x)[0][0]
+                quiet = value > 0 or value < 0 or allowed < 0 or rising < 0
                 if each.name == arc.transition.name and (ending or not quiet):
                     ending = True
-                    if not (rising > 0 and allowed):
+                    if not (rising > 0 and allowed > 0):
                         return f"the guard of {each.name} could be 0 before the end of its arc"
                 elif not quiet:
                     return f"{each.name} could happen before {arc.transition.name}"
     if arc.transition.impulse is not None and not arc.value(arc.impulse, passed.end)[0][0] > 0:
         return f"the impulse of {arc.transition.name} could pull"
     return "" if ending else f"the guard of {arc.transition.name} is not 0 at the end of its arc"
-
-
-def _quiet(arc: GuardedArc, transition: Transition, x: Vector) -> tuple[bool, Any, bool]:
-    """Whether a transition cannot happen in a box, how fast its guard goes in its direction there, whether allowed."""
-    (value,), slope = arc.value(arc.guards[transition.name], x)
-    rising = transition.direction * (slope * arc.rate(x))[0, 0]
-    allowed = arb(1) if transition.allowed is None else arc.value(arc.allowed[transition.name], x)[0][0]
-    return bool(value > 0 or value < 0 or allowed < 0 or rising < 0), rising, bool(allowed > 0)
 
 
 class TwistedArc(GuardedArc):

@@ -183,15 +183,6 @@ SLOPES = TaylorSettings(order=10, tolerance=1e-6)
 """Of the Jacobian, on which it depends how many digits an iteration gains"""
 
 
-def step_length(series: list[Vector], left: float, settings: TaylorSettings) -> float:
-    """A step whose last term is below the tolerance."""
-    order = len(series[0]) - 1
-    last, before = (magnitude([component[k] for component in series]) for k in (-1, -2))
-    largest = max(last, before ** (order / (order - 1)))
-    h = 0.9 * (settings.tolerance / nonzero(largest)) ** (1.0 / order)
-    return min(left, float(int(min(h, 1.0) * 2.0**40) * 2.0**-40))
-
-
 def flow(equations: TheoremEquations, node: Vector, settings: TaylorSettings, vary: bool) -> tuple[Vector, Any]:
     """End (d) of a segment and, when asked for, the derivatives (d x d+2), as centres of balls."""
     field, size = equations.field, equations.field.dimension
@@ -199,7 +190,10 @@ def flow(equations: TheoremEquations, node: Vector, settings: TaylorSettings, va
     total = exact(np.eye(size + 2))
     while begin < 1.0:
         solution = field.solution(here, settings.order)
-        h = step_length(solution.states, 1.0 - begin, settings)
+        last, before = (magnitude([component[k] for component in solution.states]) for k in (-1, -2))
+        largest = max(last, before ** (settings.order / (settings.order - 1)))
+        h = 0.9 * (settings.tolerance / nonzero(largest)) ** (1.0 / settings.order)  # its last term is below that
+        h = min(1.0 - begin, float(int(min(h, 1.0) * 2.0**40) * 2.0**-40))
         if not 0 < h <= 1:
             raise ConvergenceError("no orbit near: the solution leaves every bound on the way")
         here = midpoints([horner(component, arb(h)) for component in solution.states]) + here[size:]

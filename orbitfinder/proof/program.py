@@ -88,7 +88,7 @@ def program(function: ca.Function) -> ScalarProgram:
     for k in range(function.n_instructions()):
         graph.instruction(function, k)
     outputs = tuple(
-        {_entry(function, i, nonzero): value for nonzero, value in result.items()}
+        {int(function.sparsity_out(i).find()[nonzero]): value for nonzero, value in result.items()}  # column-major
         for i, result in ((i, graph.outputs.get(i, {})) for i in range(function.n_out()))
     )
     return ScalarProgram(graph.size, tuple(graph.constants), tuple(graph.inputs), tuple(graph.operations), outputs)
@@ -116,12 +116,6 @@ def bound(
     filled = [(value, numbers[entry][1]) for value, at, entry in code.inputs if at == len(inputs)]
     given = tuple(each for each in code.inputs if each[1] != len(inputs))
     return replace(code, constants=(*code.constants, *filled), inputs=given)
-
-
-def _entry(function: ca.Function, output: int, nonzero: int) -> int:
-    """Column-major position of a structural non-zero of a result."""
-    pattern = function.sparsity_out(output)
-    return int(pattern.find()[nonzero])
 
 
 class _Graph:

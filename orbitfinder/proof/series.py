@@ -96,7 +96,11 @@ class _Fold:
         if all(value in self.fixed for value in operands):
             self.fixed[target] = BALLS.functions[name](*(self.fixed[value] for value in operands))
         elif name in ("sin", "cos"):
-            self._trigonometric(name, target, a)
+            if a not in self.pairs:
+                self.pairs[a] = (self.size, self.size + 1)
+                self.size += 2
+                self._emit("sincos", self.pairs[a][0], a, self.pairs[a][1], None)
+            self.alias[target] = self.pairs[a][0 if name == "sin" else 1]
         elif b >= 0 and (a in self.fixed or b in self.fixed):
             self._mixed(name, target, a, b)
         elif name == "pow":  # a^b = exp(b log a)
@@ -110,14 +114,6 @@ class _Fold:
     def _emit(self, name: str, target: int, a: int, b: int, constant: Any) -> None:
         self.operations.append((name, target, a, b, constant))
 
-    def _trigonometric(self, name: str, target: int, a: int) -> None:
-        if a not in self.pairs:
-            self.pairs[a] = (self.size, self.size + 1)
-            self.size += 2
-            sine, cosine = self.pairs[a]
-            self._emit("sincos", sine, a, cosine, None)
-        self.alias[target] = self.pairs[a][0 if name == "sin" else 1]
-
     def _mixed(self, name: str, target: int, a: int, b: int) -> None:
         """An operation between a constant and a series."""
         constant, series, first = (self.fixed[a], b, True) if a in self.fixed else (self.fixed[b], a, False)
@@ -129,17 +125,15 @@ class _Fold:
         elif name in ("add", "sub"):
             if name == "sub" and first:
                 series = self._scaled(series, arb(-1))
-            self._shift(target, series, constant if name == "add" or first else -constant)
+            constant = constant if name == "add" or first else -constant
+            if constant.is_exact() and constant == 0:
+                self.alias[target] = self.place(series)
+            else:
+                self._emit("shift", target, series, -1, constant)
         elif name == "div" and first:
             self._emit("quotient", target, series, -1, constant)
         else:
             self.alias[target] = self._scaled(series, constant if name == "mul" else 1 / constant, target)
-
-    def _shift(self, target: int, series: int, constant: Any) -> None:
-        if constant.is_exact() and constant == 0:
-            self.alias[target] = self.place(series)
-        else:
-            self._emit("shift", target, series, -1, constant)
 
     def _scaled(self, series: int, factor: Any, target: int | None = None) -> int:
         """The value of a series times a constant."""

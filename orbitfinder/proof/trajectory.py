@@ -46,15 +46,12 @@ class Trajectory:
     def state(self, fraction: Fraction) -> Vector:
         """Enclosure of the state (d) at a fraction (0..1, exact) of the period."""
         time, transform = image(self.formulation, fraction)
-        return list(transform(self._inside(Fraction(time) * self.formulation.segments)))
-
-    def _inside(self, time: Fraction) -> Vector:
-        """The state at a time measured in segments from the start of the horizon."""
+        time = Fraction(time) * self.formulation.segments
         k = min(int(time), self.formulation.segments - 1)
         local = time - k
         step = next(passed for passed in reversed(self.steps[k]) if Fraction(passed.begin) <= local)
         after = local - Fraction(step.begin)
-        return step.at(arb(fmpq(after.numerator, after.denominator)))
+        return list(transform(step.at(arb(fmpq(after.numerator, after.denominator)))))
 
 
 def trajectory(equations: TheoremEquations, box: Vector, settings: TaylorSettings) -> Trajectory:

@@ -179,7 +179,10 @@ def read_lines(path: Path, what: str) -> tuple[list[dict[str, Any]], bool] | Non
     lines = list(_lines(path, what))
     if lines and isinstance(lines[-1], InputError):
         logging.getLogger(__name__).warning("%s: the last line was cut short and is computed again", lines.pop())
-        _cut(path, len(lines))
+        kept = sum(len(line) for _, line in zip(lines, file_lines(path), strict=False))
+        with open(path, "r+b") as stream:
+            stream.truncate(kept)
+            os.fsync(stream.fileno())
     entries = []
     for line in lines:
         if isinstance(line, InputError):
@@ -212,11 +215,3 @@ def _check(entries: Any, line: bytes, sealed: bool) -> None:
         return
     if entries.get(SEAL) != seal({key: value for key, value in entries.items() if key != SEAL}):
         raise ValueError("not what was written, its digest is another (edited or damaged)")
-
-
-def _cut(path: Path, lines: int) -> None:
-    """Keep so many lines of a file."""
-    kept = sum(len(line) for _, line in zip(range(lines), file_lines(path), strict=False))
-    with open(path, "r+b") as stream:
-        stream.truncate(kept)
-        os.fsync(stream.fileno())

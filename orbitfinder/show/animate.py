@@ -345,7 +345,11 @@ def _headed(pen: Any, clip: Clip, frame: int, view: _View, colours: Mapping[str,
     title = clip.title if clip.slow == 1.0 else f"{clip.title}, {clip.slow:g} times slower"
     fonts = [ImageFont.load_default(size * view.unit) for size in (12, 11, 10, 9, 8)]
     font = next((font for font in fonts if pen.textlength(title, font=font) <= room), fonts[-1])
-    pen.text((edge, round(6 * view.unit)), _fitted(title, pen, font, room), fill=colours["ink"], font=font)
+    if pen.textlength(title, font=font) > room:
+        while title and pen.textlength(title + "...", font=font) > room:
+            title = title[:-1]
+        title = title.rstrip() + "..."
+    pen.text((edge, round(6 * view.unit)), title, fill=colours["ink"], font=font)
     time = with_unit(f"{frame / clip.rate / clip.slow:.2f}", clip.unit)
     pen.text((view.pixels - edge, round(6 * view.unit)), time, fill=colours["faint"], font=fonts[0], anchor="ra")
 
@@ -388,15 +392,6 @@ def _strokes(pen: Any, clip: Clip, frame: int, view: _View, colours: Mapping[str
         pen.line(where, fill=colours["body"], width=round(4 * brush.thick * unit), joint="curve")
         for x, y in where if brush.pinned else []:
             _dot(pen, x, y, 3 * unit, colours["pin"])
-
-
-def _fitted(title: str, pen: Any, font: Any, room: int) -> str:
-    """The title, shortened by whole characters until it fits."""
-    if pen.textlength(title, font=font) <= room:
-        return title
-    while title and pen.textlength(title + "...", font=font) > room:
-        title = title[:-1]
-    return title.rstrip() + "..."
 
 
 def _dot(pen: Any, x: float, y: float, radius: float, colour: str) -> None:

@@ -39,7 +39,10 @@ def map_figure(plane: ParameterMap, model: Model | None) -> Figure:
     counts += f"{int(plane.sample[:, 2].sum())} of {len(plane.sample)} sampled certified"
     figure = new_figure(7.6, 6.0, plane.title or plane.name, counts)
     axes, shown = figure.subplots(), dict[str, Any]()
-    edges = [_edges(values) for values in (plane.columns, plane.rows)]
+    edges = list[np.ndarray]()  # of pixels, half-way between their values
+    for values in (plane.columns, plane.rows):
+        middle = (values[1:] + values[:-1]) / 2
+        edges.append(np.concatenate([[2 * values[0] - middle[0]], middle, [2 * values[-1] - middle[-1]]]))
     axes.set_facecolor(NOTHING)
     style: dict[str, Any] = {"rasterized": True, "linewidth": 0}
     if plane.by == "stability":
@@ -98,9 +101,3 @@ def _named(plane: ParameterMap, k: int) -> str:
         or forced_unit(values[plane.known], plane.periods[plane.known], cycles)
     )
     return f"{name} ({unit})" if unit and units(plane.system)["time"] else name
-
-
-def _edges(values: np.ndarray) -> np.ndarray:
-    """The edges of pixels (k + 1) about values (k)."""
-    middle = (values[1:] + values[:-1]) / 2
-    return np.concatenate([[2 * values[0] - middle[0]], middle, [2 * values[-1] - middle[-1]]])

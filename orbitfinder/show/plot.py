@@ -407,7 +407,12 @@ def gallery(family: Family, shown: Sequence[MemberMotion]) -> Figure:
     figure = new_figure(2.6 * columns, 2.9 * rows + 0.4, f"{entitled(family)}: orbits along the family")
     grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for axes, motion in zip(grid, shown, strict=False):
-        _draw(axes, motion)
+        if motion.joints is None:
+            axes.plot(motion.states[:, 0], motion.states[:, 1], color=COLOURS[1], linewidth=1.2)  # (q, v) for n = 1
+        else:
+            sweep(axes, motion.joints[:: max(1, len(motion.joints) // 30)], width=0.8, strokes=motion.strokes)
+            trail(axes, motion.joints[:, :, tip(motion.joints)], 1.1)
+            configuration(axes, Scene(motion.joints, strokes=motion.strokes), 1.6, still=True, named=False)
         point = motion.point
         where = f"{family.parameter} {point.value:.5g}" if family.parameter in point.free else f"{point.energy:.5g} J"
         where = where.replace("-", "\N{MINUS SIGN}")
@@ -422,15 +427,6 @@ def gallery(family: Family, shown: Sequence[MemberMotion]) -> Figure:
         figure.supxlabel("to the right (m)", fontsize=8)
         figure.supylabel("height (m)", fontsize=8)
     return figure
-
-
-def _draw(axes: Any, motion: MemberMotion) -> None:
-    if motion.joints is None:
-        axes.plot(motion.states[:, 0], motion.states[:, 1], color=COLOURS[1], linewidth=1.2)  # (q, v) for n = 1
-        return
-    sweep(axes, motion.joints[:: max(1, len(motion.joints) // 30)], width=0.8, strokes=motion.strokes)
-    trail(axes, motion.joints[:, :, tip(motion.joints)], 1.1)
-    configuration(axes, Scene(motion.joints, strokes=motion.strokes), 1.6, still=True, named=False)
 
 
 def frequency_energy(

@@ -182,7 +182,11 @@ def draw_manifolds(
         panel.plot(*way.samples[:, chosen].T, color="black", linewidth=1.4, label=way.kind)
     for orbit in orbits:
         panel.plot(*orbit.samples[:, chosen].T, color="black", linewidth=1.8, linestyle="--", label=orbit.name)
-    _landmarks(panel, model, chosen)
+    if len(chosen) == 2 and max(chosen) < model.degrees_of_freedom:  # bodies and places of rest
+        low, high = panel.get_xlim()
+        for name, place in model.landmarks.items():
+            if low <= place[chosen[0]] <= high:
+                landmark(panel, name, place[chosen[0]], place[chosen[1]])
     labels = [axis(model, i) for i in chosen]
     if solid:
         panel.set(xlabel=labels[0], ylabel=labels[1], zlabel=labels[2])
@@ -192,13 +196,3 @@ def draw_manifolds(
             panel.set_aspect("equal", adjustable="datalim")
     legend(figure, panel, "lower center", ncols=3)
     return save_png(figure, Path(path))
-
-
-def _landmarks(axes: Any, model: Model, chosen: Sequence[int]) -> None:
-    """Bodies and places of rest in the plane of two coordinates."""
-    low, high = axes.get_xlim()
-    if len(chosen) != 2 or max(chosen) >= model.degrees_of_freedom:
-        return
-    for name, place in model.landmarks.items():
-        if low <= place[chosen[0]] <= high:
-            landmark(axes, name, place[chosen[0]], place[chosen[1]])

@@ -182,10 +182,12 @@ def moving_mechanism(scene: Scene, label: str, around: np.ndarray | None = None)
     below = "" if scene.ground is None else path(fitted(_upright(scene.ground[0]), around=window))
     shown = frames_of(positions, sum(line.shape[1] for _, line in outlines(positions[0], scene.strokes, size)))
     moving = zip(*(outlines(positions[k], scene.strokes, size) for k in shown), strict=True)
-    lines = [
-        _stroke(frames[0][0], [fitted(_upright(line), around=window) for _, line in frames], duration)
-        for frames in moving
-    ]
+    lines = list[str]()
+    for frames in moving:
+        each = [fitted(_upright(line), around=window) for _, line in frames]
+        still = max(float(np.abs(frame - each[0]).max()) for frame in each) < 0.05
+        moves = "" if still else motion("points", [path(frame) for frame in each], duration)
+        lines.append(f'<polyline points="{path(each[0])}" {LOOKS[frames[0][0]]}>{moves}</polyline>')
     trace = path(places[:: max(1, len(places) // 200), -1])
     fixed = np.ptp(places, axis=0).max(axis=1) < 0.5
     joints = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="currentColor"/>' for x, y in places[0][fixed])
@@ -212,13 +214,6 @@ LOOKS = {
     "ground": 'fill="currentColor"',
 }
 """How each kind of stroke is drawn"""
-
-
-def _stroke(kind: str, frames: Sequence[np.ndarray], duration: float) -> str:
-    """A line (j x 2 pixels a frame) that moves, or stands still where its frames are one."""
-    still = max(float(np.abs(frame - frames[0]).max()) for frame in frames) < 0.05
-    moves = "" if still else motion("points", [path(frame) for frame in frames], duration)
-    return f'<polyline points="{path(frames[0])}" {LOOKS[kind]}>{moves}</polyline>'
 
 
 def moving_portrait(

@@ -212,21 +212,20 @@ def build_site(
         judge = partial(recorded, why="it was not asked for")
     planes = slug_maker()
     links += [_add_map(site, plane, planes(plane.name), gathered) for plane in gathered.maps]
-    entries = _judged([_complete(entry, simulator, links) for entry in entries], judge, tell)
+    verdicts = Kept[Verdict](max(1, len(entries)))  # of equal records found once
+    for k, entry in enumerate(entries, 1):
+        verdict = verdicts(entry.file.text, partial(judge, entry.file.orbit))
+        entries[k - 1] = replace(_complete(entry, simulator, links), verdict=verdict)
+        tell(f"orbit {k} of {len(entries)} judged")
     for k, entry in enumerate(entries):
-        _add_orbit(site, entry, entries[k - 1 : k] + entries[k + 1 : k + 2], k > 0)
+        around = {"previous": entries[k - 1] if k else None, "next": entries[k + 1] if k + 1 < len(entries) else None}
+        period = with_unit(number(entry.document["period"], 10), entry.units["time"])
+        about = f"A periodic orbit of {article(entry.mechanism)}: period {period}."
+        values = orbit_values(entry) | around | {"title": entry.title}
+        site.add("orbit", f"orbits/{entry.slug}.html", values, ("orbit", orbit_data(entry)), about)
     _add_gallery(site, entries, links, motions)
     counts = [len(records) for records in (gathered.families, gathered.atlases, gathered.sections, gathered.maps)]
     return site, SiteSummary(len(entries), counts[0], counts[1], counts[2], len(resting), counts[3], site.finish())
-
-
-def _judged(entries: Sequence[SiteOrbit], judge: Callable[..., Verdict], tell: Progress) -> list[SiteOrbit]:
-    """The entries with their verdicts, those of equal records found once."""
-    verdicts, known = list[SiteOrbit](), Kept[Verdict](max(1, len(entries)))
-    for entry in entries:
-        verdicts.append(replace(entry, verdict=known(entry.file.text, partial(judge, entry.file.orbit))))
-        tell(f"orbit {len(verdicts)} of {len(entries)} judged")
-    return verdicts
 
 
 def same(system: Table) -> str:
@@ -239,13 +238,6 @@ def _passing(document: Table, links: Sequence[Card]) -> list[tuple[str, str]]:
     known, here = same(document["system"]), _here(document)
     passed = [(link, _closest(here, link.curve)) for link in links if link.system == known]
     return [(f"../{link.href}{point}", f"{link.kind} {link.title}{PASSES}") for link, point in passed if point]
-
-
-def _lying(family: Family, curve: Sequence[tuple[str, float, float, float]], atlas: AtlasFile) -> list[int]:
-    """The orbits of an atlas, by their K of FILE#K, that the curve of a family passes."""
-    known = same(family.system)
-    return [place for place, file in atlas.orbits
-            if same(file.document["system"]) == known and _closest(_here(file.document), curve)]  # fmt: skip
 
 
 def _complete(entry: SiteOrbit, simulator: Simulator, links: Sequence[Card]) -> SiteOrbit:
@@ -282,14 +274,6 @@ def _closest(here: tuple[float, float, float], points: Sequence[tuple[str, float
     return f"#{points[k + int(share[k] > 0.5)][0]}" if apart[k] < 0.003 else ""
 
 
-def _add_orbit(site: Site, entry: SiteOrbit, beside: Sequence[SiteOrbit], before: bool) -> None:
-    period = with_unit(number(entry.document["period"], 10), entry.units["time"])
-    about = f"A periodic orbit of {article(entry.mechanism)}: period {period}."
-    around = {"previous": beside[0] if before else None, "next": beside[-1] if len(beside) > before else None}
-    values = orbit_values(entry) | around | {"title": entry.title}
-    site.add("orbit", f"orbits/{entry.slug}.html", values, ("orbit", orbit_data(entry)), about)
-
-
 def _relatives(family: Family, named: Named) -> dict[str, Any]:
     """What this family branched from, and the families that branched from it, with addresses and words."""
     source = family.source
@@ -323,13 +307,17 @@ def _add_family(
     values = family_values(family, data["items"]) | {"title": _headed("family", family), "moved": data["moved"]}
     curve = tuple((item["key"], item["energy"], item["period"], item["action"]) for item in data["items"]
                   if item["action"] is not None)  # fmt: skip
-    own = [entry for entry in known[1] if same(entry.document["system"]) == same(family.system)]
+    known_here = same(family.system)
+    own = [entry for entry in known[1] if same(entry.document["system"]) == known_here]
     values["orbits"] = [
         (f"../orbits/{entry.slug}.html", entry.title) for entry in own if _closest(_here(entry.document), curve)
     ]
     values["atlases"] = [
-        (atlas.name, [(f"../atlases/{page}.html#orbit={place}", place) for place in _lying(family, curve, atlas)])
-        for atlas, page in known[2] if same(atlas.orbits[0][1].document["system"]) == same(family.system)
+        (atlas.name, [
+            (f"../atlases/{page}.html#orbit={place}", place) for place, file in atlas.orbits
+            if same(file.document["system"]) == known_here and _closest(_here(file.document), curve)
+        ])
+        for atlas, page in known[2] if same(atlas.orbits[0][1].document["system"]) == known_here
     ]  # fmt: skip
     values |= _relatives(family, known[0]) | {name: data[name] for name in ("conserved", "landscape", "frame")}
     site.add("family", path, values, ("explorer", data), f"A family of periodic orbits of {article(words)}.")
@@ -338,7 +326,7 @@ def _add_family(
     name = "" if useful == "energy" else f"{family.parameter} "
     note = f"{plural(len(family.points), 'orbit')}, {name}{with_unit(shown, unit)}"
     cover = _cover(f"family/{slug}", data, motions)
-    return Card("Family", path, family.name, words, note, cover, same(family.system), curve)
+    return Card("Family", path, family.name, words, note, cover, known_here, curve)
 
 
 def _add_equilibria(
@@ -422,16 +410,10 @@ def _add_atlas(
 
 def _add_gallery(site: Site, entries: Sequence[SiteOrbit], links: Sequence[Card], motions: dict[str, Any]) -> None:
     motions = motions | {entry.slug: packed(entry.motion) for entry in entries if entry.motion}
-    counts = plural(len(entries), "orbit") if entries else "No single orbits"
-    summary = counts + (f", {_counted(entries)}." if entries else ".")
+    verdicts = [entry.verdict.certified for entry in entries]
+    named = {True: "certified when this page was made", False: "rejected", None: "not checked here"}
+    counts = [f"{verdicts.count(verdict)} {words}" for verdict, words in named.items() if verdict in verdicts]
+    summary = ", ".join([plural(len(entries), "orbit") if entries else "No single orbits", *counts]) + "."
     about = f"A gallery of {plural(len(entries), 'periodic orbit')} of mechanical systems, each moving in real time."
     values = {"title": site.settings.title, "summary": summary, "entries": entries, "links": links} | choices(entries)
     site.add("gallery", "index.html", values, ("gallery", motions), about)
-
-
-def _counted(entries: Sequence[SiteOrbit]) -> str:
-    """How many were certified, rejected and not checked when the page was made."""
-    verdicts = [entry.verdict.certified for entry in entries]
-    named = {True: "certified when this page was made", False: "rejected", None: "not checked here"}
-    counts = [(verdicts.count(verdict), words) for verdict, words in named.items()]
-    return ", ".join(f"{count} {words}" for count, words in counts if count)

@@ -117,18 +117,13 @@ def gather(paths: Sequence[Path], chosen: Filter | None = None, trust: bool = Fa
         if all(dict(record.system) != dict(section.system) for section in gathered.sections):
             raise InputError(f"{record.name}: is drawn in the page of a section of its system, and none is given; give "
                              "the section.json that `orbitfinder section` made too")  # fmt: skip
-    gathered.orbits = _distinct(gathered.orbits)
+    kept: dict[object, OrbitFile] = {}  # of copies of a record the one that carries a proof
+    for orbit in gathered.orbits:
+        key = (orbit.document["name"], orbit.document.get("record") or id(orbit))
+        if key not in kept or ("proof" in orbit.document and "proof" not in kept[key].document):
+            kept[key] = orbit
+    gathered.orbits = list(kept.values())
     return gathered
-
-
-def _distinct(orbits: Sequence[OrbitFile]) -> list[OrbitFile]:
-    """The orbits without copies of the same record; of copies the one that carries a proof is kept."""
-    kept: dict[object, OrbitFile] = {}
-    for file in orbits:
-        key = (file.document["name"], file.document.get("record") or id(file))
-        if key not in kept or ("proof" in file.document and "proof" not in kept[key].document):
-            kept[key] = file
-    return list(kept.values())
 
 
 def _below(folder: Path) -> list[Path]:

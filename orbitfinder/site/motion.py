@@ -362,7 +362,8 @@ class Skeleton:
             down, right = (points[:, :, point] - points[:, :, parent]).T
             turned = np.unwrap(np.arctan2(right, down)) if length else np.zeros(len(points))
             angles[:, point] = turned
-            turns[2 * self.many + point] = 2 * np.pi * np.rint((turned[-1] - turned[0] + _turn(turned)) / (2 * np.pi))
+            on = (turned[0] - turned[-1] + np.pi) % (2 * np.pi) - np.pi  # from the last on to the first, the short way
+            turns[2 * self.many + point] = 2 * np.pi * np.rint((turned[-1] - turned[0] + on) / (2 * np.pi))
         return np.hstack([points.reshape(len(points), -1), angles]), turns
 
     def places(self, values: np.ndarray) -> np.ndarray:
@@ -372,11 +373,6 @@ class Skeleton:
             angle = values[:, 2 * self.many + point]
             points[:, :, point] = points[:, :, parent] + length * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return points
-
-
-def _turn(angles: np.ndarray) -> float:
-    """From the last angle on to the first, the short way."""
-    return float((angles[0] - angles[-1] + np.pi) % (2 * np.pi) - np.pi)
 
 
 def skeleton(points: np.ndarray, strokes: Strokes) -> Skeleton:

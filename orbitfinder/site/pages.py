@@ -116,7 +116,7 @@ def orbit_values(entry: SiteOrbit) -> dict[str, Any]:
         "coordinates": len(motion.angles) - len(shown(motion)) + len(portraits(motion)) if motion else 0,
         "facts": _facts(entry),
         "multipliers": _multipliers(document),
-        "proof": _recorded_proof(entry),
+        "proof": None if entry.verdict.certified is False else recorded_proof(document),  # of a rejected orbit nothing
         "name": name,
         "problem": problem,
         "commands": (f"orbitfinder run {name}.toml\n" if problem else "")
@@ -187,11 +187,6 @@ def _check(check: Check) -> dict[str, Any]:
     }
 
 
-def _recorded_proof(entry: SiteOrbit) -> Table | None:
-    """What `orbitfinder prove` recorded, where it proved something; of a rejected orbit nothing is proved."""
-    return None if entry.verdict.certified is False else recorded_proof(entry.document)
-
-
 def orbit_data(entry: SiteOrbit) -> dict[str, Any]:
     """What the orbit page's script works with."""
     document, motion = entry.document, entry.motion
@@ -211,7 +206,12 @@ def orbit_data(entry: SiteOrbit) -> dict[str, Any]:
             "neighbour": packed(entry.neighbour) if entry.neighbour else None,
             "landscape": entry.landscape,
             "energy": document["energy"],
-            "energies": None if entry.energies is None else _floats(entry.energies),
+            "energies": entry.energies
+            if entry.energies is None
+            else {
+                "count": entry.energies.shape[1],
+                "data": base64_of(entry.energies),  # rows of float32
+            },
             "histories": histories(motion),
             "names": list(motion.names),
             "coordinates": n,
@@ -222,11 +222,6 @@ def orbit_data(entry: SiteOrbit) -> dict[str, Any]:
             "portraits": portraits(motion),
         }
     return data
-
-
-def _floats(table: np.ndarray) -> dict[str, Any]:
-    """Rows of numbers as little-endian float32 in base64."""
-    return {"count": table.shape[1], "data": base64_of(table)}
 
 
 # --------------------------------------------------------------------------------------------------
@@ -332,7 +327,12 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
     """What the family page's script works with."""
     names = ("energy", "period", "action", "closure", "value", "arclength")
     columns = {name: np.nan_to_num(family.values(name)).tolist() for name in names}
-    moved, reach = _response(family, simulator)
+    moved, reach = "", list[float]()
+    if len(family.parameters) > 1:
+        moved, reach = family.parameters[1], family.places[:, 1].tolist()
+    elif model := simulator.known(family.system):  # of one that dissipates, its amplitudes at points, then events
+        moved, sizes = response(family, model)
+        reach = sizes.tolist()
     items = family_items(family, simulator, reach)
     frame = framed([item["motion"] for item in items if item["motion"]])
     known = simulator.known(family.system) if family.unit else None  # others change the potential
@@ -374,18 +374,6 @@ def _place(family: Family, number: int, reach: Sequence[float]) -> dict[str, flo
     event = family.events[number]
     told = {"energy": level(event.energy), "period": event.period, "value": event.parameter}
     return told | {"arclength": event.arclength} | ({"amplitude": reach[len(family.points) + number]} if reach else {})
-
-
-def _response(family: Family, simulator: Simulator) -> tuple[str, list[float]]:
-    """Of a family that dissipates: the coordinate that moves most, and its amplitude at every point and then event.
-
-    Of a curve of bifurcations: the second parameter, and its values.
-    """
-    if len(family.parameters) > 1:
-        return family.parameters[1], family.places[:, 1].tolist()
-    known = simulator.known(family.system)
-    name, sizes = response(family, known) if known else ("", np.zeros(0))
-    return name, sizes.tolist()
 
 
 def span(values: Sequence[float], digits: int = 6) -> str:

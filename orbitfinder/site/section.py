@@ -108,14 +108,8 @@ def _paths(
     if model is None or not model.smooth:
         return [None] * len(starts)
     motions = named_surface(model, section.plane, section.axes).motions
-    return [_packed(model, path, span) for path in motions.sampled(starts, span / SAMPLES, SAMPLES)]
-
-
-def _packed(model: Model, path: np.ndarray, span: float) -> dict[str, Any] | None:
-    """A motion that does not close, as a page's Motion that jumps back at its end."""
-    if not np.isfinite(path).all():
-        return None
-    return packed(recorded(model, path[:-1], span))
+    return [packed(recorded(model, path[:-1], span)) if np.isfinite(path).all() else None
+            for path in motions.sampled(starts, span / SAMPLES, SAMPLES)]  # fmt: skip  # what jumps back at its end
 
 
 def _orbits(section: Section, model: Model, gathered: Gathered) -> list[dict[str, Any]]:

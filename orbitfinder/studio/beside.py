@@ -11,7 +11,6 @@ import numpy as np
 from nicegui import ui
 
 from orbitfinder.atlas.search import SearchStatistics
-from orbitfinder.atlas.store import AtlasRow
 from orbitfinder.errors import InputError, plural
 from orbitfinder.mechanics.scales import lasting, measured
 from orbitfinder.studio import plots
@@ -135,7 +134,8 @@ class SearchPanel:
         with self._list:
             for row in item.atlas[max(self._count, len(item.atlas) - 300) :]:
                 period = lasting(row.period, self._page.session.model.system, 6)
-                label = f"{row.id}: T = {period}, {row.stability}{_named(row)}"
+                symmetry = "" if row.symmetry == "none" else f", {row.symmetry.replace('+', ' and ')}"
+                label = f"{row.id}: T = {period}, {row.stability}{symmetry}"
                 shown = self._page.safe(partial(self._load, item.name, row.id))
                 ui.button(label, on_click=shown).props("flat dense no-caps align=left").classes("text-left")
         self._count = len(item.atlas)
@@ -175,10 +175,6 @@ class SearchPanel:
         if atlas.is_file():
             self.show(self._page.session.keep_atlas(name))
             self._changed()
-
-
-def _named(row: AtlasRow) -> str:
-    return "" if row.symmetry == "none" else f", {row.symmetry.replace('+', ' and ')}"
 
 
 def _positive(field: Any, name: str) -> float:

@@ -258,8 +258,7 @@ class Page(Desk):
         self.readout.set_text(self._energy())
 
     async def _released(self, event: Any) -> None:
-        self._state(event.args["state"])
-        await self._run()
+        await self._start_from(event.args["state"])
 
     async def _gripped(self, event: Any) -> None:
         """A point of a mechanism is taken hold of, pulled and let go of."""
@@ -565,7 +564,7 @@ class Page(Desk):
         follows = self.orbit is not None and await self._follows(self.orbit, name, value)
         if not follows:
             self.session.model = with_parameters(self.session.model, {name: value})
-        self._remount()
+        ui.run_javascript(f"stage.links({self._holds()})")
         if self.rest is not None:
             start = self.state if self.orbit is None else [*map(float, self.orbit.state)]
             settled = await self.rest.settle(start, name, plots.finite(self.duration.value or 0.0))
@@ -588,9 +587,6 @@ class Page(Desk):
         self.session.model = build_model(turned.orbit.system)
         self.say(f"{name} = {value:.6g}: the orbit follows")
         return True
-
-    def _remount(self) -> None:
-        ui.run_javascript(f"stage.links({self._holds()})")
 
     def _holds(self) -> str:
         """What of the mechanism can be taken hold of, for the stage: links of a chain, or points."""

@@ -83,14 +83,11 @@ def opened(file: Path | None) -> Opened:
         start = None if loaded.start is None else np.asarray(loaded.start, float)
         return _hanging(loaded.model, loaded.name, start)
     problem = minimal_problem(loaded.problem) if loaded.model.constraint is not None else loaded.problem
-    text = REFERENCE.sub(lambda at: f"{at[1]}{_path(file, at[2])}", file_bytes(file).decode("utf-8-sig"))
+    text = REFERENCE.sub(
+        lambda at: f"{at[1]}{toml(str((file.parent / at[2]).resolve()))}", file_bytes(file).decode("utf-8-sig")
+    )
     period = float(problem.guess.period)
     return Opened(problem.model, np.asarray(problem.guess.state, float), SWINGS * period, loaded.name, (period, text))
-
-
-def _path(file: Path, named: str) -> str:
-    """A file that a problem file names beside itself, in TOML, for a copy of the problem file elsewhere."""
-    return toml(str((file.parent / named).resolve()))
 
 
 def _recorded(file: Path) -> Opened:
@@ -119,25 +116,21 @@ def _rows(atlas: Path) -> list[AtlasRow]:
 def _hanging(model: Model, name: str, state: np.ndarray | None) -> Opened:
     """A system without a guess: from a state, or somewhere near where it starts by itself."""
     if model.constraint is not None:
-        start = _together(model) if state is None else state
-        problem = minimal_problem(Problem(model, Guess(start, 1.0)))
+        if state is None:  # put together somewhere
+            loops = loops_of(model.system)
+            if loops.minimal is None:
+                raise InputError("system: has loops and says not how it starts; add [simulate] with a state")
+            state = loops.state(model)
+        problem = minimal_problem(Problem(model, Guess(state, 1.0)))
         return Opened(problem.model, np.asarray(problem.guess.state, float), DURATION, name)
     n, size = model.degrees_of_freedom, len(model.state_names)
     if state is None:
         state = np.zeros(size)
         state[: n if model.rates is None else size] = np.linspace(0.5, 1.0, n)  # rad, the last the most
     duration = DURATION
-    if system_kind(model.system).pendulum and model.constraint is None:
+    if system_kind(model.system).pendulum:
         duration = SWINGS * 2 * np.pi / float(np.sqrt(normal_modes(model)[0].min()))
     return Opened(model, state, round(duration, 1), name)
-
-
-def _together(model: Model) -> np.ndarray:
-    """The state (2n) at rest of a system with loops, put together somewhere. Raises `InputError`."""
-    loops = loops_of(model.system)
-    if loops.minimal is None:
-        raise InputError("system: has loops and says not how it starts; add [simulate] with a state")
-    return loops.state(model)
 
 
 @dataclass(frozen=True)
@@ -386,13 +379,10 @@ class Session:
         """The command lines that find everything again, in a folder of their own."""
         return [shlex.join(("orbitfinder", *item.command)) for item in self.items.values() if item.command]
 
-    def tree(self) -> list[dict[str, Any]]:
-        """Orbits, the families through them, the families that leave these: nodes for a tree."""
-        return self._below(None)
-
-    def _below(self, parent: str | None) -> list[dict[str, Any]]:
+    def tree(self, parent: str | None = None) -> list[dict[str, Any]]:
+        """Orbits, the families through them, the families that leave these: nodes for a tree, below a parent."""
         return [
-            {"id": item.name, "label": _label(item), "children": self._below(item.name)}
+            {"id": item.name, "label": _label(item), "children": self.tree(item.name)}
             for item in self.items.values()
             if item.parent == parent
         ]
