@@ -19,7 +19,7 @@ from orbitfinder.mechanics.expression import FUNCTIONS, expression
 from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
 from orbitfinder.mechanics.kind import KINDS, SystemKind
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, finite_number
 from orbitfinder.mechanics.scales import with_units
 from orbitfinder.records.reading import Table
 

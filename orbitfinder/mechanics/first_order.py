@@ -17,7 +17,7 @@ from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.conserved import linear_invariants
 from orbitfinder.mechanics.controls import Limits, with_controls
 from orbitfinder.mechanics.lagrange import strangers
-from orbitfinder.mechanics.model import Dynamics, Invariant, Mechanics, Model, Structure, altered
+from orbitfinder.mechanics.model import Dynamics, Invariant, Mechanics, Model, Structure, altered, finite_number
 from orbitfinder.mechanics.scales import NEUTRAL, with_units
 
 Field = Callable[[Any, "Named", "Named"], Any]
@@ -309,10 +309,7 @@ def _model(
 
 
 def _parameters(given: Mapping[str, float] | None) -> dict[str, float]:
-    for name, value in (given or {}).items():
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
-            raise InputError(f"parameters.{name}: must be a finite number, got {value!r}; check the value")
-    return {name: float(value) for name, value in (given or {}).items()}
+    return {name: finite_number(f"parameters.{name}", value) for name, value in (given or {}).items()}
 
 
 def _sense(name: str, sense: int) -> int:

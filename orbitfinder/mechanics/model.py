@@ -426,6 +426,14 @@ class Model(Shown):
         return self.state_names.index(name)
 
 
+def finite_number(where: str, value: Any) -> float:
+    """The number that stands at some place, or `InputError`."""
+    known = isinstance(value, (int, float, np.floating, np.integer)) and not isinstance(value, bool)
+    if not known or not np.isfinite(value):
+        raise InputError(f"{where}: must be a finite number, got {value!r}; check the value")
+    return float(value)
+
+
 def altered(model: Model, **changes: Any) -> Model:
     """The Model with some fields changed, those of its parts by their own names; as `dataclasses.replace`."""
     return replace(model, **changes)

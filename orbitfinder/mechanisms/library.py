@@ -17,7 +17,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
 from orbitfinder.mechanics.kind import BUILT_IN
 from orbitfinder.mechanics.lagrange import Symbols, energy_invariant, lagrange
-from orbitfinder.mechanics.model import Invariant, Model, altered
+from orbitfinder.mechanics.model import Invariant, Model, altered, finite_number
 
 
 @dataclass(frozen=True)
@@ -69,12 +69,9 @@ def ingredients(
     cannot be meant. A function whose arguments are all parameters gives its `locals()`."""
     values: dict[str, float] = {}
     for name in dict.fromkeys([*positive, *given]):
-        value = given[name]
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
-            raise InputError(f"system.arguments.{name}: must be a finite number, got {value!r}; check the value")
+        values[name] = finite_number(f"system.arguments.{name}", value := given[name])
         if name in positive and value <= 0:
             raise InputError(f"system.arguments.{name}: must be positive, got {value!r}; check the sign and the unit")
-        values[name] = float(value)
     values |= dict.fromkeys(controls, 0.0)
     return Ingredients(
         ca.SX.sym("q", count), ca.SX.sym("v", count), ca.SX.sym("t"), values, ca.SX.sym("p", len(values)), controls

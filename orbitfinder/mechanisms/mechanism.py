@@ -37,7 +37,7 @@ from orbitfinder.mechanics.lagrange import (
     pictured,
     take_apart,
 )
-from orbitfinder.mechanics.model import Baumgarte, Model
+from orbitfinder.mechanics.model import Baumgarte, Model, finite_number
 from orbitfinder.mechanics.scales import with_units
 from orbitfinder.mechanisms.closing import LoopClosure, independent_rows_at, point_sizes
 from orbitfinder.mechanisms.shapes import undescribed
@@ -68,7 +68,7 @@ class _Numbers:
         for name, value in shared.items():
             if not name.isidentifier():
                 raise InputError(f"parameters: {name!r} is no name; use letters, digits and _")
-            self.new(name, _number(f"parameters.{name}", value))
+            self.new(name, finite_number(f"parameters.{name}", value))
 
     def new(self, name: str, value: float) -> ca.SX:
         """A number with a symbol of its own, 0 or not."""
@@ -82,7 +82,7 @@ class _Numbers:
     def __call__(self, where: str, name: str, entry: Any) -> ca.SX | float:
         """A number as a symbol of its own (0 stays 0), or an expression such as "-length / 2" of shared ones."""
         if not isinstance(entry, str):
-            value = _number(where, entry)
+            value = finite_number(where, entry)
             return self.new(name, value) if value or name in self._given else 0.0
         match = EXPRESSION.fullmatch(entry)
         if not match or match[3] not in self.names:
@@ -303,9 +303,9 @@ def mechanism(
     system = _description({"bodies": bodies, "joints": joints, **acting}, gravity, dimension, redundant)
     for name, extra in (("parameters", parameters), ("pose", pose), ("values", values)):
         if extra:
-            system[name] = {key: _number(f"{name}.{key}", number) for key, number in extra.items()}
+            system[name] = {key: finite_number(f"{name}.{key}", number) for key, number in extra.items()}
     if frequency is not None:
-        system["frequency"] = _number("frequency", frequency)
+        system["frequency"] = finite_number("frequency", frequency)
     system |= {"redundant": redundant} if redundant != "refuse" else {}
     if drawn:
         system["drawn"] = dict(drawn)
@@ -320,7 +320,7 @@ def _description(tables: Table, gravity: Any, dimension: Any, redundant: Any) ->
     """The tables as plain data, checked for shape; what was not given is left out."""
     if dimension not in (2, 3):
         raise InputError(f"dimension: must be 2 (the plane) or 3 (space), got {dimension!r}")
-    fall = [9.8, 0.0, 0.0][:dimension] if gravity is None else [_number("gravity", number) for number in gravity]
+    fall = [9.8, 0.0, 0.0][:dimension] if gravity is None else [finite_number("gravity", number) for number in gravity]
     if len(fall) != dimension:
         raise InputError(f"gravity: {plural(len(fall), 'number')}; give {dimension} (m/s^2, x down, y right)")
     if redundant not in ("refuse", "drop"):
@@ -353,16 +353,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple, np.ndarray)):
         return [_plain(entry) for entry in value]
     return value if isinstance(value, str) else float(value)
-
-
-def _number(where: str, value: Any) -> float:
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, (int, float, np.floating, np.integer))
-        or not np.isfinite(value)
-    ):
-        raise InputError(f"{where}: must be a finite number, got {value!r}")
-    return float(value)
 
 
 def _eye() -> ca.SX:
@@ -702,7 +692,9 @@ class _Energies:
         for name, table in made.tables("motors").items():
             where = f"motors.{name}"
             joint = _coordinate(made, where, table)
-            torque = numbers.new(name, _number(f"{where}.torque", table.get("torque", 0.0)))  # a parameter of its name
+            torque = numbers.new(
+                name, finite_number(f"{where}.torque", table.get("torque", 0.0))
+            )  # a parameter of its name
             swing, late = (
                 numbers(f"{where}.{key}", f"{name}_{key}", table.get(key, 0.0)) for key in ("amplitude", "phase")
             )
@@ -764,7 +756,7 @@ def _prescribed(made: _Drawing, clock: tuple[ca.SX, ca.SX]) -> set[str]:
             made.numbers(f"{where}.{key}", f"{name}_{key}", table.get(key, 0.0))
             for key in ("offset", "amplitude", "phase")
         )
-        turns = _number(f"{where}.turns", table.get("turns", 0.0))
+        turns = finite_number(f"{where}.turns", table.get("turns", 0.0))
         if turns != round(turns) or (turns and not node.turns):
             raise InputError(f"{where}.turns: must be a whole number, of a joint that turns, got {turns:g}")
         node.q = ca.SX(offset + turns * w * t + amplitude * ca.cos(w * t + phase))
@@ -810,17 +802,11 @@ def _weigh(made: _Drawing) -> None:
         made.nodes[body.node].inertia += ca.blockcat(
             [[inertia + ca.mtimes(lever, _skew(com).T), lever], [lever.T, mass * _eye()]]
         )
-    made.size = max([*point_sizes(numbers.names, numbers.values), *_shared_lengths(made)], default=1.0) or 1.0
-
-
-def _shared_lengths(made: _Drawing) -> list[float]:
-    """Sizes of the points that are told by shared parameters."""
-    numbers = made.numbers
-    told = [str(number) for table in made.tables("joints").values() for at in table.get("at", []) for number in at]
-    matches = [EXPRESSION.fullmatch(text) for text in told]
-    return [
-        abs(numbers.values[numbers.names.index(match[3])]) for match in matches if match and match[3] in numbers.names
-    ]
+    sizes = [*point_sizes(numbers.names, numbers.values)]
+    for number in (number for table in made.tables("joints").values() for at in table.get("at", []) for number in at):
+        if (match := EXPRESSION.fullmatch(str(number))) and match[3] in numbers.names:  # by a shared parameter
+            sizes.append(abs(numbers.values[numbers.names.index(match[3])]))
+    made.size = max(sizes, default=1.0) or 1.0
 
 
 def _inertia(numbers: _Numbers, name: str, table: Table, dimension: int) -> ca.SX:
@@ -1054,7 +1040,7 @@ def _solids(made: _Drawing) -> dict[str, tuple[np.ndarray, np.ndarray]]:
             sound = False
         if not sound:
             raise InputError(f"drawn.solids.{name}: is no solid of a body in space; take it out")
-        six = [_number(f"drawn.solids.{name}", number) for number in entry[:6]]
+        six = [finite_number(f"drawn.solids.{name}", number) for number in entry[:6]]
         boxes[name] = np.array(six[:3]), np.array(six[3:])
     return boxes
 
@@ -1225,7 +1211,7 @@ def _closed(made: _Drawing, motion: _Energies, baumgarte: Sequence[float] | None
     if baumgarte is None:
         pace = _pace(ca.Function("free", symbols.arguments, [matrix, bias]), place, made.size, motion)
         baumgarte = (pace, pace)
-    stabilisation = Baumgarte(*(_number("baumgarte", number) for number in baumgarte))
+    stabilisation = Baumgarte(*(finite_number("baumgarte", number) for number in baumgarte))
     return constrained_model(
         LinearBalances.held(matrix, bias, phi, q, v), phi,
         Terms(motion.kinetic, motion.potential, forces=motion.passive, actuation=motion.drive), symbols, stabilisation,

@@ -18,7 +18,7 @@ from orbitfinder._runtime.arguments import checked
 from orbitfinder.errors import InputError, closest, shortened
 from orbitfinder.mechanics.kind import KINDS, SystemKind
 from orbitfinder.mechanics.lagrange import Symbols, Terms, coordinate_names, detected_invariants, mechanical_model
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, finite_number
 from orbitfinder.records.reading import Table, file_beside, file_bytes, npz_members
 
 Matrix = Any
@@ -338,7 +338,7 @@ class _Written:
     def __init__(self, size: int, names: Sequence[str], given: Mapping[str, float]) -> None:
         self.t, self.q, self.v = ca.SX.sym("t"), ca.SX.sym("q", size), ca.SX.sym("v", size)
         self.names = coordinate_names(tuple(names) or None, Symbols(self.q, self.v))
-        self.given = {name: _number(f"parameters.{name}", value) for name, value in given.items()}
+        self.given = {name: finite_number(f"parameters.{name}", value) for name, value in given.items()}
         self.values, self.numbers, self.held = dict[str, float](), dict[str, Any](), set[int]()
         self.potential, self.inner, self.outer = ca.SX(0), ca.SX(size, 1), ca.SX(size, 1)
         self.clock: Any = None
@@ -385,10 +385,10 @@ class _Written:
         self.clock = omega
         if not (number := self.values[omega.name()]) > 0:
             raise InputError(f"forcing.frequency: must be positive, got {number}; give rad/s")
-        load = amplitude * ca.cos(omega * self.t + _number("forcing.phase", given.get("phase", 0.0)))
+        load = amplitude * ca.cos(omega * self.t + finite_number("forcing.phase", given.get("phase", 0.0)))
         at = given.get("at")
         for name, share in at.items() if isinstance(at, Mapping) and at else [(at, 1.0)]:
-            self.outer[self._place("forcing.at", name)] += _number(f"forcing.at.{name}", share) * load
+            self.outer[self._place("forcing.at", name)] += finite_number(f"forcing.at.{name}", share) * load
 
     def _parameter(self, where: str, name: str, value: Any, key: str) -> Any:
         """The symbol of a number, or of what a text names."""
@@ -402,7 +402,7 @@ class _Written:
             name = value
         elif value is None:
             raise InputError(f"{where}.{key}: missing; give a number")
-        number = self.given[name] if name in self.given else _number(f"{where}.{key}", value)
+        number = self.given[name] if name in self.given else finite_number(f"{where}.{key}", value)
         if key == "smoothing" and not number > 0:
             raise InputError(f"{where}.smoothing: must be positive, got {number}; corners are smooth over so much")
         self.values[name] = number
@@ -429,12 +429,6 @@ class _Written:
         )  # fmt: skip
         coordinate_names(self.names, symbols)
         return symbols
-
-
-def _number(where: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
-        raise InputError(f"{where}: must be a finite number, got {value!r}; check the value")
-    return float(value)
 
 
 def _files(system: Table) -> dict[str, str]:

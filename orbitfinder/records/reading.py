@@ -34,6 +34,8 @@ from orbitfinder.errors import InputError, LimitError, shortened
 
 Table = Mapping[str, Any]
 """Entries by name, as in a JSON object, a TOML table, the description of a system"""
+Entries = dict[str, Any]
+"""The same where it is made"""
 LARGEST_FILE = 100_000_000
 """Bytes; a larger file (of a journal: a larger line) is refused before it is read."""
 MOST_VALUES = 10_000_000
