@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +27,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified, return_distances
 from orbitfinder.orbits.measure import around, composed, sampled_action, sampled_period, whole_unknowns
 from orbitfinder.records.orbit import VERSION, Orbit, orbit_from_document
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 
 Found = tuple[SearchStart, Signature, Callable[[], Course[tuple[Orbit, Model]]]]
 """A start, what the motion that it led to is recognised by, and what makes an Orbit of that"""
@@ -318,7 +317,7 @@ def uncovered(context: Context, loop: ClosedLoop, cover: int) -> Course[ClosedLo
     return (yield from solved(context, problem, w))
 
 
-def origin(seed: int, start: SearchStart) -> dict[str, Any]:
+def origin(seed: int, start: SearchStart) -> Entries:
     """Provenance of an orbit that a start led to: enough to come to it again."""
     course = {"course": list(start.course)} if start.course else {}
     return {

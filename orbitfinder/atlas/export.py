@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from typing import Any
 
 from orbitfinder.atlas.signature import in_words
 from orbitfinder.atlas.store import Atlas, AtlasRow, Filter, named_state, proved
 from orbitfinder.exports.tables import table_bytes
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.records.orbit import orbit_from_document
-from orbitfinder.records.reading import json_bytes
+from orbitfinder.records.reading import Entries, json_bytes
 
 FIELDS = {
     "id": ("", "number of the orbit in the atlas, which it keeps"),
@@ -62,7 +61,7 @@ def flat_names(state_names: tuple[str, ...]) -> tuple[str, ...]:
     return (*names[:place], *state_names, *names[place:])
 
 
-def flat(atlas: Atlas, row: AtlasRow, state_names: tuple[str, ...]) -> dict[str, Any]:
+def flat(atlas: Atlas, row: AtlasRow, state_names: tuple[str, ...]) -> Entries:
     """One row: numbers in SI units and rad, the state at t = 0 and where the orbit came from."""
     document = atlas.document(row.id)
     origin = dict(document.get("provenance") or {})

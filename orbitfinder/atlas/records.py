@@ -4,11 +4,11 @@ from typing import Any
 
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder.records.orbit import AGAIN
-from orbitfinder.records.reading import json_file
+from orbitfinder.records.reading import Entries, json_file
 from orbitfinder.records.registry import KINDS, Kind
 
 
-def _facts(atlas: Any) -> dict[str, Any]:
+def _facts(atlas: Any) -> Entries:
     return {"system": atlas.system, **loaded("atlas.report:summarise")(atlas).document()}
 
 

@@ -31,7 +31,16 @@ from orbitfinder.records.orbit import (
     orbit_to_document,
     recorded_proof,
 )
-from orbitfinder.records.reading import LARGEST_INTEGER, Table, inflated, is_number, json_document, read_as, walked
+from orbitfinder.records.reading import (
+    LARGEST_INTEGER,
+    Entries,
+    Table,
+    inflated,
+    is_number,
+    json_document,
+    read_as,
+    walked,
+)
 
 RESTORE = "restore a copy of the atlas"
 LOOPS_KEPT = 32_000_000
@@ -208,7 +217,7 @@ class Atlas(Shown):
         self._forgotten.detach()  # whichever thread collects a closed one
         self.connection.close()
 
-    def _recorded(self) -> dict[str, Any]:
+    def _recorded(self) -> Entries:
         rows = self.select([str], "SELECT value FROM about WHERE key = 'system'")
         if not rows:
             raise InputError(f"{self.path}: system: missing; the atlas has not been searched into yet")
@@ -223,7 +232,7 @@ class Atlas(Shown):
             rows = self.connection.execute(question, list(values)).fetchall()
         return [read_as(GenericAlias(tuple, tuple(kinds)), row, str(self.path), RESTORE) for row in rows]
 
-    def _claim(self, system: dict[str, Any], write: bool) -> dict[str, Any]:
+    def _claim(self, system: Entries, write: bool) -> Entries:
         """The system of this atlas: recorded if none is, and refused if it is another."""
         text = json.dumps(system, sort_keys=True)
         if write:
@@ -303,7 +312,7 @@ class Atlas(Shown):
             raise self._missing(number)
         return AtlasRow(*rows[0])
 
-    def document(self, number: int) -> dict[str, Any]:
+    def document(self, number: int) -> Entries:
         """The orbit.json document of an orbit by its id."""
         rows = self.select([bytes], "SELECT document FROM orbits WHERE id = ?", [int(number)])
         if not rows:
@@ -319,7 +328,7 @@ class Atlas(Shown):
         """An orbit by its id, certificate included; its dense samples are left out."""
         return orbit_from_document(self.document(number))
 
-    def documents(self, chosen: Filter | None = None) -> Iterator[dict[str, Any]]:
+    def documents(self, chosen: Filter | None = None) -> Iterator[Entries]:
         """The orbit.json documents that pass a filter, by energy and period."""
         for row in self.rows(chosen):
             yield self.document(row.id)
@@ -431,9 +440,9 @@ def proved(document: Table) -> str:
     return str((recorded_proof(document) or {}).get("stability", ""))
 
 
-def unpacked(data: bytes, where: str) -> dict[str, Any]:
+def unpacked(data: bytes, where: str) -> Entries:
     """The document that `compressed` packed; `InputError` when it is damaged."""
-    document: dict[str, Any] = json_document(inflated(data, where, RESTORE), where, RESTORE)
+    document: Entries = json_document(inflated(data, where, RESTORE), where, RESTORE)
     orbit_from_document(document, where)
     return document
 

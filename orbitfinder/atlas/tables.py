@@ -12,10 +12,9 @@ import re
 import sqlite3
 import stat
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import LARGEST_FILE
@@ -164,20 +163,15 @@ def _version(path: Path, connection: sqlite3.Connection) -> int:
             "update orbitfinder, nothing was changed"
         )
     connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_FILE)
-    _check_schema(path, tables, version)
-    return version
-
-
-def _check_schema(path: Path, made: Sequence[tuple[Any, ...]], version: int) -> None:
-    """`InputError` unless the tables are those that the migrations make: no view computes, no trigger acts."""
-    wanted = set(_schema(version))
-    for kind, name, text in made:
+    wanted = set(_schema(version))  # that the migrations make: no view computes, no trigger acts
+    for kind, name, text in tables:
         if _squeezed(text) in wanted:
             wanted.remove(_squeezed(text))
         elif kind not in ("table", "index") or str(name) in OURS:
             raise InputError(f"{path}: {kind} {str(name)[:60]!r} is not as orbitfinder makes it; restore a copy")
     if wanted:
         raise InputError(f"{path}: misses {min(wanted)[:60]!r}; restore a copy of the atlas")
+    return version
 
 
 def _squeezed(text: object) -> str:

@@ -27,7 +27,7 @@ from orbitfinder.cli.options import (
 )
 from orbitfinder.cli.search import level, print_summary
 from orbitfinder.errors import InputError, plural
-from orbitfinder.records.reading import write_atomically
+from orbitfinder.records.reading import Entries, write_atomically
 
 BOOK = click.argument("book", type=FILES, metavar="FILE.sqlite")
 TRUST = "Import the Python function of the system, from beside the atlas or installed, for the names of its state."
@@ -56,7 +56,7 @@ def filters(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def chosen(options: dict[str, Any]) -> of.Filter:
+def chosen(options: Entries) -> of.Filter:
     """The filter that those options make."""
     return of.Filter(**{name: options[name] for name in ("period", "energy", "stability", "symmetry")})
 

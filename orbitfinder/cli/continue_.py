@@ -22,7 +22,7 @@ from orbitfinder.errors import InputError, plural
 from orbitfinder.records.certificate import certified
 from orbitfinder.records.ends import stuck
 from orbitfinder.records.family import Batch, Event, number_of, reverted
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 from orbitfinder.records.registry import held, member
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
       orbitfinder continue families/duffing-resonance/family.json --curve 0 --parameters force,frequency
     """
     directions = chosen["direction"] or ("away" if isinstance(chosen["event"], int) else "both")
-    more: dict[str, Any] = {"beside": chosen["beside"] or ""}
+    more: Entries = {"beside": chosen["beside"] or ""}
     more |= {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
     with display(f"{file}: reading") as shown:
         from orbitfinder.families.branches import left_at
@@ -245,7 +245,7 @@ def _optima(
     finish("continue", document, all(map(certified, optima.points)))
 
 
-def summary(family: of.Family) -> dict[str, Any]:
+def summary(family: of.Family) -> Entries:
     """What `--json` says of a family; its points are in family.json."""
     events = [
         {"kind": event.kind, "detail": event.detail, family.parameter: event.parameter, "period": event.period,

@@ -55,7 +55,10 @@ def guess(
     text(f"{proposals.name}: {plural(len(proposals.guesses), 'starting point')}")
     for proposal in proposals.guesses:
         text(_line(proposal, proposals.system))
-        text(f"    {_shape(proposal)}")
+        label = "shape" if "shape" in proposal.details else "state"
+        numbers, most = proposal.details.get("shape", proposal.state), 8  # are printed; the rest is in --json
+        more = f", ... ({len(numbers)} in all)" if len(numbers) > most else ""
+        text(f"    {label} [{', '.join(f'{x:.6g}' for x in numbers[:most])}{more}]")
     for note in proposals.notes:
         text(f"  none: {note}")
     if written is not None:
@@ -81,14 +84,6 @@ def _line(proposal: Proposal, system: Mapping[str, Any]) -> str:
         + (f"  from t = {lasting(proposal.details['time'], system, 4)}" if "time" in proposal.details else "")
         + (f"  {plural(proposal.details['samples'], 'sample')}" if "samples" in proposal.details else "")
     )
-
-
-def _shape(proposal: Proposal) -> str:
-    label = "shape" if "shape" in proposal.details else "state"
-    numbers = proposal.details.get("shape", proposal.state)
-    most = 8  # are printed; the rest is in --json
-    more = f", ... ({len(numbers)} in all)" if len(numbers) > most else ""
-    return f"{label} [{', '.join(f'{x:.6g}' for x in numbers[:most])}{more}]"
 
 
 @click.command()

@@ -22,7 +22,7 @@ from orbitfinder._runtime.limit import limited
 from orbitfinder._runtime.processes import children_see
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.records.codec import plain
-from orbitfinder.records.reading import finite
+from orbitfinder.records.reading import Entries, finite
 
 FILES = click.Path(path_type=Path)
 NOT_CERTIFIED, BAD_INPUT, INTERRUPTED = 1, 2, 130
@@ -140,7 +140,7 @@ def folded(line: str, width: int) -> list[str]:
     columns = [gap.end() for gap in re.finditer(r"\S {2,}(?=\S)", line)]
     margin = len(line) - len(line.lstrip()) + 2
     hang = columns[-1] if columns and columns[-1] <= width - LEAST_NOTE else margin
-    more: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": " " * hang}
+    more: Entries = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": " " * hang}
     if max(map(len, line[hang:].split(", "))) <= width - hang:
         line = line[:hang] + re.sub(r"(?<=[^\s,]) (?=\S)", GLUE, line[hang:])
     return [part.replace(GLUE, " ") for part in textwrap.wrap(line, width, **more)] or [""]
@@ -154,7 +154,7 @@ def coloured(line: str) -> str:
     return re.sub(r"\b(certified|proved)\b", lambda word: click.style(word[0], fg="green"), line)
 
 
-def finish(kind: str, document: dict[str, Any], passed: bool = True) -> None:
+def finish(kind: str, document: Entries, passed: bool = True) -> None:
     """The end of a command: its document, records and arrays in plain numbers, where --json was given; exit code 1 for
     what did not pass.
 
@@ -180,7 +180,7 @@ def print_json(document: Any) -> None:
     click.echo(json.dumps(finite(document), indent=1, allow_nan=False, default=os.fspath))
 
 
-def picked(records: Iterable[Any], names: str) -> list[dict[str, Any]]:
+def picked(records: Iterable[Any], names: str) -> list[Entries]:
     """What `--json` says of some records: each one's attributes of these names."""
     return [{name: getattr(record, name) for name in names.split()} for record in records]
 

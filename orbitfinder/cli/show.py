@@ -31,7 +31,13 @@ def show(files: tuple[Path, ...]) -> None:
     results = []
     for file in files:
         kind, facts = shown(file)
-        _followed(file, facts)
+        if any("event" in row for row in facts.get("events", ())):  # what they are, and the commands that follow them
+            told = [{**row["event"], **row} for row in facts["events"]]
+            command = f"orbitfinder continue {shlex.quote(str(file))}"
+            facts["events"] = [
+                {name: entry for name, entry in row.items() if name != "event"}
+                | {"follow": [f"{command} {way}" for way in row.get("follow", ())]} for row in told
+            ]  # fmt: skip
         results.append({"file": str(file), "kind": kind, **facts})
         text(f"{file}: {kinds()[kind].words}")
         for line in _lines(facts):
@@ -49,17 +55,6 @@ def _verbs(answered: list[str], system: Any) -> str:
     alone = [verb for verb in answered if verb in ("show", "page")]
     others = [verb for verb in answered if verb not in alone]
     return f"{', '.join(alone)}; {', '.join(others)} need its Model, which no file describes: in Python give model="
-
-
-def _followed(file: Path, facts: dict[str, Any]) -> None:
-    """Say of events what they are, what happens there, and the commands that follow them."""
-    if any("event" in row for row in facts.get("events", ())):
-        told = [{**row["event"], **row} for row in facts["events"]]
-        command = f"orbitfinder continue {shlex.quote(str(file))}"
-        facts["events"] = [
-            {name: entry for name, entry in row.items() if name != "event"}
-            | {"follow": [f"{command} {way}" for way in row.get("follow", ())]} for row in told
-        ]  # fmt: skip
 
 
 def _lines(facts: Mapping[str, Any], margin: str = "  ") -> Iterator[str]:

@@ -52,7 +52,7 @@ def torus(
         if len(origin.tori) > 1:
             many = len(origin.tori)
             raise InputError(f"file: {file} holds {many} tori; give one of them, {file}#{many - 1}")
-        origin, label = origin.tori[0], f"{origin.name}-on"
+        label, origin = f"{origin.name}-on", origin.tori[0]
     folder, left = folder_of(out, name or label), way_left(points, until)
     along = how["parameter"] or ("energy" if how["hold"] == "rotation" else "rotation")
     with display(f"{folder.name}: tori from {file}") as shown, kept(folder / "tori.json", of.save_tori):

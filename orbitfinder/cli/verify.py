@@ -33,7 +33,7 @@ from orbitfinder.cli.options import (
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.certificate import Certificate, Check, certificate_to_document
 from orbitfinder.records.codec import entries_of
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 from orbitfinder.records.registry import answer, held, kind_of, load, load_orbit, member
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def _each(file: Path) -> list[Path]:
     return [Path(f"{file}#{k}") for k in range(len(kind.parts(load(file))))]
 
 
-def verified(file: Path, trust: bool) -> dict[str, Any]:
+def verified(file: Path, trust: bool) -> Entries:
     """What of FILE or FILE#K was checked again, from the file alone."""
     from orbitfinder.families.verified import point_checks
     from orbitfinder.records.family import Family, FamilyPoint, load_family
@@ -113,7 +113,7 @@ def verified(file: Path, trust: bool) -> dict[str, Any]:
     return {"file": str(file), "name": record.name} | certificate_to_document(certificate)
 
 
-def _family(file: Path, family: Family, placed: list[tuple[str, Check]]) -> dict[str, Any]:
+def _family(file: Path, family: Family, placed: list[tuple[str, Check]]) -> Entries:
     """The checks of all events and ends of a family, made again."""
     wrong = [f"{where}: {check.name}" for where, check in placed if not check.passed]
     skipped = sum(check.skipped for _, check in placed)
@@ -225,7 +225,7 @@ def prove(
     _finish(results)
 
 
-def _finish(results: list[dict[str, Any]]) -> None:
+def _finish(results: list[Entries]) -> None:
     """The document of proofs, and whether all hold."""
     passed = all(result["proved"] for result in results)
     finish("proof", {"passed": passed, "results": results}, passed)
@@ -249,7 +249,7 @@ def _orbits_in(file: Path) -> list[tuple[Path, bool]]:
 
 def _proofs(
     files: list[Path], options: Options, record: bool, trust: bool, workers: int, scheduler: str | None
-) -> Iterator[tuple[Path, Orbit, Proof | None, dict[str, Any]]]:
+) -> Iterator[tuple[Path, Orbit, Proof | None, Entries]]:
     """Each orbit with its proof and what is recorded of it; done elsewhere the proof itself stays there."""
     from orbitfinder.atlas.store import Atlas
     from orbitfinder.proof.record import entry, proved_entry
@@ -282,7 +282,7 @@ def _of_atlas(file: Path) -> bool:
     return number is not None and kind_of(book) == "atlas"
 
 
-def _record(file: Path, document: dict[str, Any], record: bool, trust: bool) -> None:
+def _record(file: Path, document: Entries, record: bool, trust: bool) -> None:
     """Write what is proved into the atlas or the orbit.json that it is of."""
     from orbitfinder.atlas.store import Atlas
     from orbitfinder.proof.record import write_entry
@@ -301,7 +301,7 @@ def _record(file: Path, document: dict[str, Any], record: bool, trust: bool) -> 
 
 
 def _prove_branch(
-    files: tuple[Path, ...], low: float | None, high: float | None, record: bool, trust: bool, given: dict[str, Any]
+    files: tuple[Path, ...], low: float | None, high: float | None, record: bool, trust: bool, given: Entries
 ) -> None:
     """`prove FAMILY.json --from A --to B`."""
     from orbitfinder.proof.branch import branch_document, prove_branch
@@ -339,7 +339,7 @@ def _keep_wider(file: Path, low: float, high: float) -> None:
                          "give a wider range, --no-record, or move that file")  # fmt: skip
 
 
-def _prove_rest(files: tuple[Path, ...], resting: list[Path], record: bool, trust: bool, given: dict[str, Any]) -> None:
+def _prove_rest(files: tuple[Path, ...], resting: list[Path], record: bool, trust: bool, given: Entries) -> None:
     """`prove EQUILIBRIA.json ...`."""
     from orbitfinder.families.equilibrium import load_equilibria
     from orbitfinder.proof.equilibria import CODEC, prove_equilibria
@@ -362,9 +362,7 @@ def _prove_rest(files: tuple[Path, ...], resting: list[Path], record: bool, trus
     _finish(results)
 
 
-def _prove_connections(
-    files: tuple[Path, ...], joined: list[Path], record: bool, trust: bool, given: dict[str, Any]
-) -> None:
+def _prove_connections(files: tuple[Path, ...], joined: list[Path], record: bool, trust: bool, given: Entries) -> None:
     """`prove CONNECTION.json ...`."""
     from orbitfinder.proof.connections import CODEC, prove_connection
     from orbitfinder.proof.record import checked
@@ -393,7 +391,7 @@ def _say(name: str, line: str) -> None:
     note(f"{name}: {line}")
 
 
-def _replayed(wrong: Sequence[str], again: Any, what: str) -> dict[str, Any]:
+def _replayed(wrong: Sequence[str], again: Any, what: str) -> Entries:
     """What a proof made again says: `passed`, and `message`, a sentence."""
     proved = f"proof replayed in {again.wall_time:.1f} s: proved, {what}"
     return {"passed": not wrong, "message": f"proof REJECTED: {'; '.join(wrong)}" if wrong else proved}
@@ -409,7 +407,7 @@ def _print_words(heading: str, proof: BorderedRecord | ConnectionRecord) -> None
         text(f"  {name:<12}{said}")
 
 
-def verify_connection(file: Path, trust: bool = False) -> dict[str, Any]:
+def verify_connection(file: Path, trust: bool = False) -> Entries:
     """Replay a recorded proof of a connection: `passed`, and `message`, a sentence."""
     from orbitfinder.proof.connections import read_connection_proof, replayed_connection, unproved_claims
     from orbitfinder.proof.theorem import provable_system
@@ -443,7 +441,7 @@ def _shown(ball: Table) -> str:
     return f"{Decimal(ball['value']):.{places}g} +/- {within:.0e}"
 
 
-def verify_rest(file: Path, trust: bool = False) -> dict[str, Any]:
+def verify_rest(file: Path, trust: bool = False) -> Entries:
     """Replay a recorded proof of equilibria: `passed`, and `message`, a sentence."""
     from orbitfinder.proof.equilibria import CODEC, replay_equilibria
     from orbitfinder.proof.theorem import provable_system
@@ -470,7 +468,7 @@ def _print_branch(heading: str, branch: ProvedBranch) -> None:
         text(f"  {'event':<12}{said}: {event.test} from {event.low} to {event.high}: {verdict}{more}")
 
 
-def verify_branch(file: Path, trust: bool = False) -> dict[str, Any]:
+def verify_branch(file: Path, trust: bool = False) -> Entries:
     """Replay a recorded proof of a branch: `passed`, and `message`, a sentence."""
     from orbitfinder.proof.branch import branch_model, contradictions, read_branch, replayed
 
@@ -501,7 +499,7 @@ def _prove_event(files: tuple[Path, ...], number: int, options: Options, record:
     finish("proof", events.document(event), event.proved)
 
 
-def verify_event(file: Path, trust: bool = False) -> dict[str, Any]:
+def verify_event(file: Path, trust: bool = False) -> Entries:
     """Replay a recorded proof of an event: `passed`, and `message`, a sentence."""
     from orbitfinder.mechanics.kind import build_model
     from orbitfinder.proof.bordered import false_claims, read_event, replayed_event
@@ -511,7 +509,7 @@ def verify_event(file: Path, trust: bool = False) -> dict[str, Any]:
     return _replayed(false_claims(recorded, again), again, again.kind.replace("_", " "))
 
 
-def _print_proof(heading: str, proof: Proof | None, document: dict[str, Any]) -> None:
+def _print_proof(heading: str, proof: Proof | None, document: Entries) -> None:
     if not document["proved"]:
         text(f"{heading}: not proved: {document['reason']}")
         return
@@ -535,7 +533,7 @@ def _print_proof(heading: str, proof: Proof | None, document: dict[str, Any]) ->
         text(f"  {'multiplier':<12}{mu.str(12)}")
 
 
-def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
+def verify_proof(file: Path, trust: bool = False) -> Entries:
     """Replay the proof recorded in a file: `passed`, and `message`, a sentence."""
     from orbitfinder.proof.record import read_entry, replay
     from orbitfinder.proof.theorem import provable_model
@@ -582,7 +580,7 @@ def refine(
     finish("refined", document, digitized.enclosed or not enclose)
 
 
-def refined_document(orbit: RefinedOrbit) -> dict[str, Any]:
+def refined_document(orbit: RefinedOrbit) -> Entries:
     """The JSON form of a refined orbit."""
     from orbitfinder.proof.balls import precision
     from orbitfinder.proof.record import enclosure

@@ -121,7 +121,13 @@ def stabilise(
     bounds = {name: driven.limits[name] for name in chosen if name in driven.limits} | checked_limits(given, chosen)
     weights = _weight("Q", Q, trial.units.size), _weight("R", R, len(chosen))
     made = replace(_designed(orbit, driven, chosen, trial, weights), limits=bounds, authority=powers)
-    _check_limits(made)
+    for name, (low, high) in bounds.items():
+        own = made.inputs[:, made.actuators.index(name)]
+        if np.any((own <= low) | (own >= high)):
+            raise InputError(
+                f"limits.{name}: the orbit itself takes {own.min():.6g} to {own.max():.6g}, which leaves nothing to "
+                f"correct within {low:.6g} and {high:.6g}; widen them"
+            )
     return verified(made, driven)
 
 
@@ -288,16 +294,6 @@ def _interpolates(controller: Controller) -> bool:
     errors[:, : d + m] /= sizes[: d + m]
     errors[:, d + m :] *= sizes[d + m :] / nonzero(tallest)
     return bool(errors.max() <= REQUIRED.interpolated)
-
-
-def _check_limits(controller: Controller) -> None:
-    for name, (low, high) in controller.limits.items():
-        own = controller.inputs[:, controller.actuators.index(name)]
-        if np.any((own <= low) | (own >= high)):
-            raise InputError(
-                f"limits.{name}: the orbit itself takes {own.min():.6g} to {own.max():.6g}, which leaves nothing to "
-                f"correct within {low:.6g} and {high:.6g}; widen them"
-            )
 
 
 def verified(controller: Controller, model: Model | None = None) -> Controller:

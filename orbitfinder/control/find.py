@@ -48,7 +48,7 @@ from orbitfinder.orbits.evidence import Recomputed, StatesAt, Tour, in_extents, 
 from orbitfinder.orbits.floquet import analyse
 from orbitfinder.orbits.measure import provenance
 from orbitfinder.records.orbit import SHARE, Orbit
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 
 SAMPLES = 12
 """Looks at the motion in each step of an interval"""
@@ -125,7 +125,7 @@ def recorded(
     return orbit, model
 
 
-def _entry(problem: Problem, program: Program, solution: Optimum, values: Mapping[str, float]) -> dict[str, Any]:
+def _entry(problem: Problem, program: Program, solution: Optimum, values: Mapping[str, float]) -> Entries:
     """The `control` entry of orbit.json: what was asked and the control that was found."""
     control = program.control
     return {

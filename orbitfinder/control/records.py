@@ -1,21 +1,15 @@
 """The records of this room, for the registry of records."""
 
 from operator import attrgetter
-from pathlib import Path
-from typing import Any
 
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder.control.controller import load_controller
 from orbitfinder.control.optimum import load_optima
 from orbitfinder.records.registry import KINDS, Kind
 
-
-def _drawn(optima: Any, folder: Path, _: Any) -> list[Path]:
-    return [loaded("show.optima:save_optima_figure")(optima, folder)]
-
-
 KINDS["optima"] = Kind(
-    "a family of optima", load_optima, attrgetter("points"), apart=True, verify="orbits.certify:certify", plot=_drawn,
+    "a family of optima", load_optima, attrgetter("points"), apart=True, verify="orbits.certify:certify",
+    plot=lambda optima, folder, _: [loaded("show.optima:save_optima_figure")(optima, folder)],
     page="site.gather:add_optima", export="exports.tables:export_table",
 )  # fmt: skip
 KINDS["controller"] = Kind(

@@ -15,7 +15,6 @@ from orbitfinder.orbits.certify import (
     RECORDED,
     SAMPLES_OFF,
     VERIFIERS,
-    Tolerances,
     Trial,
     Verifier,
     between_steps,
@@ -45,7 +44,10 @@ def _checks(trial: Trial) -> Iterator[Check | None]:
     yield _covered(trial, seen)
     yield between_steps(*seen.unseen, "a segment")
     for name, value in fit.violations.items():
-        yield _task_check(name, value, allowed)
+        # what holds always is asked for at points and looked at between them
+        between = name.endswith((" always", " within limits"))
+        note = "largest violation, also between the points at which it was asked for" if between else "violation"
+        yield at_most(f"task: {name}", value, allowed.between if between else allowed.distance, note)
     for name, miss, _ in seen.events:
         wrong = "" if np.isfinite(miss) else "; it is crossed the other way than its direction says, or not allowed"
         yield at_most(f"event: {name}", miss, allowed.distance, f"miss of its guard, in periods{wrong}")
@@ -79,13 +81,6 @@ def _checks(trial: Trial) -> Iterator[Check | None]:
         yield trial.shown("samples", seen.off, SAMPLES_OFF, seen.closes.amplification)
     yield trial.record()
     yield from expected_checks(orbit, model)
-
-
-def _task_check(name: str, value: float, allowed: Tolerances) -> Check:
-    """How far a task is violated, relative; what holds always is asked for at points and looked at between them."""
-    between = name.endswith((" always", " within limits"))
-    note = "largest violation, also between the points at which it was asked for" if between else "violation"
-    return at_most(f"task: {name}", value, allowed.between if between else allowed.distance, note)
 
 
 def _covered(trial: Trial, seen: ControlledEvidence) -> Check | None:

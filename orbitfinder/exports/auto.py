@@ -37,8 +37,10 @@ def auto_files(source: Source) -> dict[str, str]:
         raise InputError(f"to: more than {MOST} first integrals have no place in AUTO's PAR; use julia or c")
     if source.model.forced and source.model.invariants:
         raise InputError("to: a forced system that keeps a momentum is not covered for AUTO; use julia or c")
+    # a line of t and the states for each of `ROWS` equal times over one period
+    rows = "".join(" ".join(map(repr, row)) + "\n" for row in np.column_stack(_with_clock(source)).tolist())
     word = source.identifier
-    return {f"{word}.f90": equations(source), f"c.{word}": constants(source), f"{word}.dat": starting_data(source)}
+    return {f"{word}.f90": equations(source), f"c.{word}": constants(source), f"{word}.dat": rows}
 
 
 def equations(source: Source) -> str:
@@ -210,10 +212,3 @@ def _with_clock(source: Source) -> tuple[np.ndarray, np.ndarray]:
         turn = 2 * np.pi * times / float(source.model.forcing_period(source.model.parameter_values))
         states = np.column_stack([states, np.cos(turn), np.sin(turn)])
     return times, states
-
-
-def starting_data(source: Source) -> str:
-    """The .dat file: a line of t and the states for each of `ROWS` equal times over one period."""
-    times, states = _with_clock(source)
-    rows = np.column_stack([times, states])
-    return "".join(" ".join(repr(float(value)) for value in row) + "\n" for row in rows)

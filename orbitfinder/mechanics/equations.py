@@ -19,9 +19,9 @@ from orbitfinder.mechanics.expression import FUNCTIONS, expression
 from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
 from orbitfinder.mechanics.kind import KINDS, SystemKind
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.mechanics.model import Model, finite_number
+from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import with_units
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 
 Reader = Callable[[str, str], Any]
 """(text, its field) -> its value in symbols"""
@@ -246,7 +246,7 @@ def _first_order(find: bool, given: Table, names: Sequence[str]) -> Model:
     return ode(field, names, given["parameters"], find_invariants=find, **_common(given))
 
 
-def _common(given: Table) -> dict[str, Any]:
+def _common(given: Table) -> Entries:
     """What states say beside their equations."""
     invariants = {name: partial(_integral, given, name, text) for name, text in given.get("invariants", {}).items()}
     return dict(invariants=invariants, angles=given.get("angles", ()), forcing_period=_clock(given), system=given)

@@ -20,17 +20,13 @@ import casadi as ca
 from orbitfinder.errors import InputError, closest, shortened
 from orbitfinder.records.reading import Table
 
-
-def _either(condition: Any, this: Any, that: Any) -> Any:
-    """What holds under a condition, else what does not; a condition of numbers alone is settled here."""
-    return (this if condition else that) if isinstance(condition, float) else ca.if_else(condition, this, that)
-
-
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "sqrt": ca.sqrt, "exp": ca.exp, "log": ca.log, "tanh": ca.tanh,
     "sinh": ca.sinh, "cosh": ca.cosh, "asin": ca.asin, "acos": ca.acos, "atan": ca.atan, "atan2": ca.atan2,
     "abs": ca.fabs, "min": lambda *each: reduce(ca.fmin, each), "max": lambda *each: reduce(ca.fmax, each),
-    "if": _either,
+    "if": lambda condition, this, that: (  # one of numbers alone is settled here
+        (this if condition else that) if isinstance(condition, float) else ca.if_else(condition, this, that)
+    ),
 }  # fmt: skip
 """What may be called in an expression."""
 LONGEST, DEEPEST, COUNTS = 2000, 60, {"atan2": (2, 2), "if": (3, 3), "min": (2, 20), "max": (2, 20)}

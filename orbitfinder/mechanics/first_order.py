@@ -288,7 +288,12 @@ def _model(
     energy = ca.SX(np.nan) if first is None else first.value(symbols.column, symbols.v, symbols.numbers)
     if level is not None:
         energy = ca.substitute(level, symbols.t, ca.SX(0))
-    clock = None if forcing_period is None else _clock(forcing_period, symbols)
+    clock = None
+    if forcing_period is not None:
+        period = _scalar("forcing_period", forcing_period(symbols.p) if callable(forcing_period) else forcing_period)
+        if ca.depends_on(period, ca.vertcat(symbols.t, symbols.column)) or symbols.foreign(period):
+            raise InputError("forcing_period: may depend on the parameters only")
+        clock = ca.Function("forcing_period", [symbols.numbers], [period])
     reversals = (
         (name, _sense(name, sense), symbols.signs(moved)) for name, (sense, moved) in (symmetries or {}).items()
     )
@@ -383,11 +388,3 @@ def _balanced(slopes: np.ndarray) -> np.ndarray:
 
 COMMUTES = 1e-9
 """Rate of an invariant relative to the terms that it is the sum of."""
-
-
-def _clock(given: Any, symbols: _Symbols) -> ca.Function:
-    """p -> the period of the forcing."""
-    clock = _scalar("forcing_period", given(symbols.p) if callable(given) else given)
-    if ca.depends_on(clock, ca.vertcat(symbols.t, symbols.column)) or symbols.foreign(clock):
-        raise InputError("forcing_period: may depend on the parameters only")
-    return ca.Function("forcing_period", [symbols.numbers], [clock])

@@ -30,7 +30,7 @@ from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
 from orbitfinder.mechanics.model import Model, altered
 from orbitfinder.mechanics.scales import with_scales, with_units
 from orbitfinder.records.orbit import system_at
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 
 BUILT_IN = "orbitfinder.systems"
 """The module whose functions everybody may name"""
@@ -158,7 +158,11 @@ def python_model(system: Table, trusted: Path | None = None) -> Model:
         model = replace(model, system=described(told, module, name, arguments))
     if not isinstance(scales, Mapping):
         raise InputError("system.scales: must be a table of names and sizes")
-    model = with_scales(_controlled(model, system), scales)
+    if given := {name: system[name] for name in ("controls", "limits") if name in system}:  # its own without
+        limits = {**model.limits, **given.get("limits", {})}
+        model = with_controls(model, given.get("controls", model.controls), limits)
+        model = replace(model, system={**model.system, **given})
+    model = with_scales(model, scales)
     return with_cycle(model, system["cycle"]) if "cycle" in system else model
 
 
@@ -193,21 +197,10 @@ def neighbours(folder: Path | None) -> Iterator[None]:
                 del sys.modules[name]
 
 
-def described(system: Table, module: str, function: str, arguments: Table | None = None) -> dict[str, Any]:
+def described(system: Table, module: str, function: str, arguments: Table | None = None) -> Entries:
     """The description of a system that a module's function makes, with what else (a cycle) was said of it."""
     made = {"kind": "python", "module": module, "function": function, "arguments": dict(arguments or {})}
     return {**system, **made}
-
-
-def _controlled(model: Model, system: Table) -> Model:
-    """The Model with the controls and limits that a description gives, its own without."""
-    given = {name: system[name] for name in ("controls", "limits") if name in system}
-    if not given:
-        return model
-    controlled = with_controls(
-        model, given.get("controls", model.controls), {**model.limits, **given.get("limits", {})}
-    )
-    return replace(controlled, system={**model.system, **given})
 
 
 def _built_in(name: str) -> Callable[..., Any]:

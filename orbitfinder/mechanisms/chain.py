@@ -20,6 +20,7 @@ from orbitfinder.mechanics.controls import TORQUE, Limits, checked_limits, check
 from orbitfinder.mechanics.factorise import LinearBalances, acceleration_function
 from orbitfinder.mechanics.lagrange import Symbols, Terms, energy_invariant, mass_matrix_and_bias, mechanical_model
 from orbitfinder.mechanics.model import Baumgarte, Invariant, Model, constraint_of
+from orbitfinder.records.reading import Entries
 
 Numbers = float | Sequence[float] | np.ndarray
 
@@ -81,14 +82,14 @@ def chain_system(
     motors: Sequence[int] = (),
     limits: Limits | None = None,
     joints: int | None = None,
-) -> dict[str, Any]:
+) -> Entries:
     """The plain description (JSON) that a chain is built from, checked."""
     if isinstance(links, bool) or not isinstance(links, (int, np.integer)) or links < 1:
         raise InputError(f"links: must be a whole number of at least 1, got {links!r}; give the number of links")
     if not isinstance(gravity, (int, float, np.number)) or not np.isfinite(gravity):
         raise InputError(f"gravity: must be finite, got {gravity!r}; use 9.8 on Earth, 0 for none")
     count = int(links)
-    system: dict[str, Any] = {
+    system: Entries = {
         "kind": "chain",
         "links": count,
         "length": per_link("length", length, count, 0.0),
@@ -113,7 +114,7 @@ def chain_system(
     return system
 
 
-def chain_symbols(system: dict[str, Any]) -> ChainSymbols:
+def chain_symbols(system: Entries) -> ChainSymbols:
     """Symbols and link expressions for a chain; a default inertia follows mass and length."""
     count = system["links"]
     fields = [name for name in ("length", "mass", "inertia", "com") if name in system]
@@ -187,7 +188,7 @@ def chain_invariants(symbols: ChainSymbols, kinetic: ca.SX, potential: ca.SX) ->
     return invariants
 
 
-def chain_model(symbols: ChainSymbols, system: dict[str, Any], acceleration: ca.Function) -> Model:
+def chain_model(symbols: ChainSymbols, system: Entries, acceleration: ca.Function) -> Model:
     """A chain's Model around accelerations a(t, q, v, p), whichever way they were derived."""
     q, p = symbols.coordinates, symbols.parameters
     kinetic, potential = chain_energies(symbols)
@@ -311,9 +312,7 @@ def dae_chain(symbols: ChainSymbols) -> ca.Function:
     return ca.Function("acceleration", [t, q, v, p], [constraint.algebraic(t, state[:n], state[n:], p)[2:n:3]])
 
 
-def maximal_chain(
-    symbols: ChainSymbols, system: dict[str, Any], baumgarte: Baumgarte, ground: ca.SX | None = None
-) -> Model:
+def maximal_chain(symbols: ChainSymbols, system: Entries, baumgarte: Baumgarte, ground: ca.SX | None = None) -> Model:
     """The chain, or with `ground` (2, m) the closed chain whose tip is pinned there, as a native DAE."""
     count = len(symbols.links)
     joints = count + (ground is not None)
@@ -450,11 +449,6 @@ def lagrange_chain(symbols: ChainSymbols) -> ca.Function:
     return acceleration_function(matrix, bias, symbols.arguments)
 
 
-def recursive_chain(symbols: ChainSymbols) -> ca.Function:
-    """Accelerations by elimination of the joint forces from tip to root, O(n) operations."""
-    return ca.Function("acceleration", symbols.arguments, [recursive_acceleration(symbols)[0]])
-
-
 def recursive_acceleration(symbols: ChainSymbols) -> tuple[ca.SX, ca.SX]:
     """Angular accelerations (n) and joint forces on each link at its upper joint (2 x n), in O(n).
 
@@ -562,6 +556,6 @@ FORMULATIONS: dict[str, Callable[[ChainSymbols], ca.Function]] = {
     "lagrange": lagrange_chain,
     "newton-euler": newton_euler_chain,
     "dae": dae_chain,
-    "recursive": recursive_chain,
+    "recursive": lambda symbols: ca.Function("acceleration", symbols.arguments, [recursive_acceleration(symbols)[0]]),
 }
 """Every way of deriving a chain's accelerations a(t, q, v, p), by name"""

@@ -51,10 +51,6 @@ def _bars(system: Table) -> str:
     return f"{words.get(bars, f'{bars}-bar')} linkage"
 
 
-def _drawn(system: Table) -> str:
-    return f"{'spatial' if system.get('dimension') == 3 else 'planar'} mechanism"
-
-
 KINDS.update(
     chain=SystemKind(
         _chain, _pendulum, takes=chain, reread=True, pendulum=True, joints=lambda system: int(system["links"]),
@@ -63,7 +59,10 @@ KINDS.update(
     linkage=SystemKind(
         _linkage, _bars, takes=linkage, reread=True, joints=lambda system: len(system["length"]) + 1, loops=LOOPS
     ),
-    mechanism=SystemKind(_mechanism, _drawn, takes=mechanism, drawn=True, loops=JOINED),
+    mechanism=SystemKind(
+        _mechanism, lambda system: f"{'spatial' if system.get('dimension') == 3 else 'planar'} mechanism",
+        takes=mechanism, drawn=True, loops=JOINED,
+    ),
 )  # fmt: skip
 CLOSING[""] = replace(JOINED, minimal=None)  # other constraints have no minimal form
 FUNCTIONS.update(library.FUNCTIONS | MACHINES | DRIVEN)

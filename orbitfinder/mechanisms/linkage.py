@@ -21,7 +21,7 @@ from orbitfinder.mechanics.controls import Limits
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Baumgarte, Model, check_state, constraint_of
 from orbitfinder.mechanics.newton import Settings, closed
-from orbitfinder.mechanisms.chain import ChainSymbols, Numbers, baumgarte_of, chain_symbols, chain_system, maximal_chain
+from orbitfinder.mechanisms.chain import Numbers, baumgarte_of, chain_symbols, chain_system, maximal_chain
 from orbitfinder.records.reading import Table
 
 CLOSING = Settings(floor=1e-13, round_off=1e-13, converged=1e-13, longest=0.5)
@@ -101,19 +101,13 @@ def linkage(
         "baumgarte": [stabilisation.alpha, stabilisation.beta],
     }
     check_closable(lengths, pivot)
-    symbols = linkage_symbols(system)
+    symbols = chain_symbols({**system, "links": len(system["length"])})
+    symbols = replace(  # with the ground pivot as two more parameters
+        symbols, parameters=ca.vertcat(symbols.parameters, ca.SX.sym("ground", 2)),
+        parameter_names=(*symbols.parameter_names, "ground1", "ground2"),
+        parameter_values=(*symbols.parameter_values, *system["ground"]),
+    )  # fmt: skip
     return maximal_chain(symbols, system, stabilisation, ground=symbols.arguments[-1][-2:])
-
-
-def linkage_symbols(system: Table) -> ChainSymbols:
-    """The chain's symbols with the ground pivot as two more parameters, ground1 (down), ground2 (right)."""
-    open_chain = chain_symbols({**system, "links": len(system["length"])})
-    return replace(
-        open_chain,
-        parameters=ca.vertcat(open_chain.parameters, ca.SX.sym("ground", 2)),
-        parameter_names=(*open_chain.parameter_names, "ground1", "ground2"),
-        parameter_values=(*open_chain.parameter_values, *system["ground"]),
-    )
 
 
 def check_closable(lengths: np.ndarray, ground: np.ndarray) -> None:
@@ -273,7 +267,7 @@ def _dyad(model: Model, fixed: Mapping[int, float], branch: int | None, guess: n
     known, bars, solutions = ca.SX(list(fixed.values())), [k + 1 for k in fixed], {}
     for sign in (1, -1):
         angles = _bar_angles(model, known, ca.SX(model.parameter_values), bars, sign)
-        solution = ca.evalf(angles).full().ravel()
+        solution: np.ndarray = ca.evalf(angles).full().ravel()
         if guess is not None:  # to within pi of the guess
             solution[[i, j]] += 2 * np.pi * np.round((guess[[i, j]] - solution[[i, j]]) / (2 * np.pi))
         solutions[sign] = solution

@@ -41,7 +41,7 @@ from orbitfinder.mechanics.model import Baumgarte, Model, finite_number
 from orbitfinder.mechanics.scales import with_units
 from orbitfinder.mechanisms.closing import LoopClosure, independent_rows_at, point_sizes
 from orbitfinder.mechanisms.shapes import undescribed
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 
 GROUND = "ground"
 KEYS = {
@@ -316,7 +316,7 @@ def mechanism(
     return with_units(replace(made, scales={k: float(v) for k, v in (scales or {}).items()}), units)
 
 
-def _description(tables: Table, gravity: Any, dimension: Any, redundant: Any) -> dict[str, Any]:
+def _description(tables: Table, gravity: Any, dimension: Any, redundant: Any) -> Entries:
     """The tables as plain data, checked for shape; what was not given is left out."""
     if dimension not in (2, 3):
         raise InputError(f"dimension: must be 2 (the plane) or 3 (space), got {dimension!r}")
@@ -325,7 +325,7 @@ def _description(tables: Table, gravity: Any, dimension: Any, redundant: Any) ->
         raise InputError(f"gravity: {plural(len(fall), 'number')}; give {dimension} (m/s^2, x down, y right)")
     if redundant not in ("refuse", "drop"):
         raise InputError(f"redundant: must be 'refuse' or 'drop' (equations that repeat others), got {redundant!r}")
-    system: dict[str, Any] = {"kind": "mechanism", "dimension": dimension, "gravity": fall}
+    system: Entries = {"kind": "mechanism", "dimension": dimension, "gravity": fall}
     for name, table in tables.items():
         for key, entry in (table or {}).items():
             _check_table(name, key, entry)
@@ -427,20 +427,14 @@ def _drawn(system: Table, numbers: _Numbers) -> _Drawing:
             raise InputError(
                 f"joints.{name}: {table['kind']!r} closes no loop; a loop is closed by {', '.join(closing)}"
             )
-        made.closing.append(_closing(made, name, table))
+        length, kind = ca.SX(0), made.kinds[name]
+        ways, points = _motions(made, name, table), _points(made, "joints", name, table)
+        if not kind.reaches:
+            length = _positive(numbers, f"joints.{name}.length", f"{name}_length", table.get("length", 0.0), "m")
+        turned = _turned(made, name, table) if kind.reaches else _eye()
+        made.closing.append(_Closing(name, table, kind.rows, points, ways, turned, length))
     _check_bars(made, pairs)
     return made
-
-
-def _closing(made: _Drawing, name: str, table: Table) -> _Closing:
-    """A joint that closes a loop, its numbers read."""
-    kind, length = made.kinds[name], ca.SX(0)
-    ways, points = _motions(made, name, table), _points(made, "joints", name, table)
-    if not kind.reaches:
-        length = _positive(made.numbers, f"joints.{name}.length", f"{name}_length", table.get("length", 0.0), "m")
-    return _Closing(
-        name, table, kind.rows, points, ways, _turned(made, name, table) if kind.reaches else _eye(), length
-    )
 
 
 def _between(where: str, name: str, table: Table, bodies: Table) -> tuple[str, str]:
@@ -1136,7 +1130,7 @@ def _tree(made: _Drawing, motion: _Energies) -> Model:
     )  # fmt: skip
 
 
-def _parts(made: _Drawing, motion: _Energies) -> dict[str, Any]:
+def _parts(made: _Drawing, motion: _Energies) -> Entries:
     """What a Model has of a drawing beside its equations, with or without loops."""
     _, q, _, p = motion.symbols.arguments
     limits = {name: motor["limit"] for name, motor in made.tables("motors").items() if "limit" in motor}

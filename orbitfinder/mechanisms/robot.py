@@ -31,7 +31,7 @@ from orbitfinder.errors import Hint, InputError, LimitError, closest, plural
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms import shapes
 from orbitfinder.mechanisms.mechanism import GROUND, JOINTS, mechanism
-from orbitfinder.records.reading import file_bytes
+from orbitfinder.records.reading import Entries, file_bytes
 
 DOWN = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 """From a file's axes (z up) to ours (x down)"""
@@ -158,7 +158,7 @@ def robot(
     made = _afloat(made) if floating else made
     system, moving, solids = _tables(made, locked)
     system |= _acting(made, moving, stiffness, rest or {}, damping, motors)
-    drawn: dict[str, Any] = {"file": path.name, "sha256": hashlib.sha256(data).hexdigest()}
+    drawn: Entries = {"file": path.name, "sha256": hashlib.sha256(data).hexdigest()}
     drawn |= {"solids": shapes.described(solids)} if solids else {}
     return mechanism(**system, dimension=3, gravity=_fall(made, gravity), drawn=drawn, values=values)
 
@@ -180,7 +180,7 @@ def _root(data: bytes) -> str:
     return ""
 
 
-def _put(table: dict[str, Any], kinds: str, name: str, value: Any) -> None:
+def _put(table: Entries, kinds: str, name: str, value: Any) -> None:
     """Add a body or a joint; `InputError` where there is another of that name."""
     if name in table:
         raise InputError(f"file: two {kinds} are named {name!r}; rename one")
@@ -343,7 +343,7 @@ def _straight(turn: np.ndarray) -> np.ndarray:
     return near if np.abs(turn - near).max() < 1e-9 else turn
 
 
-def compiled(file: str) -> dict[str, Any]:
+def compiled(file: str) -> Entries:
     """What MuJoCo makes of a file, as lists; or why it makes nothing of it, `refused`."""
     import mujoco  # noqa: PLC0415
 
@@ -354,7 +354,7 @@ def compiled(file: str) -> dict[str, Any]:
     except Exception as error:
         return {"refused": " ".join(str(error).split())}
     read = ("qpos", "body_", "jnt_", "dof_", "eq_", "tendon_")
-    lists: dict[str, Any] = {name: getattr(model, name).tolist() for name in dir(model) if name.startswith(read)}
+    lists: Entries = {name: getattr(model, name).tolist() for name in dir(model) if name.startswith(read)}
     lists["solids"] = [[part.tolist() for part in solid] for solid in _bare(mujoco, model)]
     lists |= {name: np.asarray(getattr(model.opt, name)).tolist() for name in ("gravity", "density", "viscosity")}
     return lists | {
@@ -490,7 +490,7 @@ def _check_smooth(model: SimpleNamespace) -> None:
 
 def _tables(
     made: _Read, locked: Mapping[str, float] | Sequence[str]
-) -> tuple[dict[str, Any], list[str], dict[str, shapes.Solid]]:
+) -> tuple[Entries, list[str], dict[str, shapes.Solid]]:
     """The bodies and joints of the mechanism that a robot is, the names of the joints that move, how bodies look."""
     free = [name for name, joint in made.joints.items() if joint.free]
     still = dict(locked) if isinstance(locked, Mapping) else dict.fromkeys(locked, 0.0)
@@ -500,13 +500,13 @@ def _tables(
     if not moving:
         raise InputError("locked: no joint is left to move; unlock one")
     bodies, whose = _lumped(made, still)
-    system: dict[str, Any] = {"bodies": {}, "joints": {}}
+    system: Entries = {"bodies": {}, "joints": {}}
     held = whose[made.root]
     for name in moving:
         joint = made.joints[name]
         parent, (turn, place) = whose[joint.parent], _frame(made, name)
         before = bodies[parent].place if parent != held else np.zeros(3)
-        table: dict[str, Any] = {
+        table: Entries = {
             "kind": joint.kind, "between": [GROUND if parent == held else _word(parent), _word(whose[joint.child])],
             "at": [_listed(DOWN @ (place - before)), [0.0, 0.0, 0.0]],
         }  # fmt: skip
@@ -568,7 +568,7 @@ def _afloat(made: _Read) -> _Read:
 
 def _acting(
     made: _Read, moving: list[str], stiffness: Any, rest: Mapping[str, float], damping: Any, motors: Sequence[str] | str
-) -> dict[str, Any]:
+) -> Entries:
     """Springs, dampers and motors of the moving joints."""
     system = dict[str, Any]()
     moving = [name for name in moving if len(made.joints[name].free) == 1]

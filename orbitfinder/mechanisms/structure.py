@@ -19,7 +19,7 @@ from orbitfinder.errors import InputError, closest, shortened
 from orbitfinder.mechanics.kind import KINDS, SystemKind
 from orbitfinder.mechanics.lagrange import Symbols, Terms, coordinate_names, detected_invariants, mechanical_model
 from orbitfinder.mechanics.model import Model, finite_number
-from orbitfinder.records.reading import Table, file_beside, file_bytes, npz_members
+from orbitfinder.records.reading import Entries, Table, file_beside, file_bytes, npz_members
 
 Matrix = Any
 """Dense, SciPy's sparse, the path of a Matrix Market (.mtx) or NumPy file (.npz), or Matrix Market text"""
@@ -443,7 +443,7 @@ def _built(system: Table, _: Path | None) -> Model:
     return structure(**{"damping": None} | {key: value for key, value in system.items() if key != "kind"})
 
 
-def _with_content(system: Table, folder: Path) -> dict[str, Any]:
+def _with_content(system: Table, folder: Path) -> Entries:
     """The description of a problem file in a folder, with the matrices that its files hold."""
     beside = {name: file_beside(folder, file, name) for name, file in _files(system).items()}
     return {**system, **{name: market(_matrix(name, path)) for name, path in beside.items()}}

@@ -71,7 +71,14 @@ def from_sympy(
     rates = [coordinate.diff(dynamicsymbols._t) for coordinate in coordinates]
     reader = _Reader(sympy, dynamicsymbols._t, coordinates, rates, values)
     if isinstance(method, KanesMethod):
-        reader.renamed = _speeds(method, speeds, rates)
+        known = method.kindiffdict()
+        for speed, rate in zip(speeds, rates, strict=True):
+            if known.get(rate) != speed:
+                raise InputError(
+                    f"method: {rate} is {known.get(rate)} and not {speed}; give Kane's method the coordinates' rates "
+                    "as speeds, in the order of the coordinates"
+                )
+        reader.renamed = dict(zip(speeds, rates, strict=True))
         if not method.bodies:
             raise InputError("method: has no bodies; form Kane's equations (kanes_equations(bodies, loads)) first")
         kinetic = sum(body.kinetic_energy(method._inertial) for body in method.bodies)
@@ -110,18 +117,6 @@ def _check_values(values: Any) -> None:
             finite = False
         if not finite:
             raise InputError(f"values.{symbol}: must be a finite number, got {value!r}; give one")
-
-
-def _speeds(method: Any, speeds: list[Any], rates: list[Any]) -> dict[Any, Any]:
-    """Kane's speeds as the coordinates' rates; `InputError` where they are something else."""
-    known = method.kindiffdict()
-    for speed, rate in zip(speeds, rates, strict=True):
-        if known.get(rate) != speed:
-            raise InputError(
-                f"method: {rate} is {known.get(rate)} and not {speed}; give Kane's method the coordinates' rates as "
-                "speeds, in the order of the coordinates"
-            )
-    return dict(zip(speeds, rates, strict=True))
 
 
 def _beyond(method: Any, lagrangian: ca.SX, reader: _Reader, controls: Sequence[str]) -> ca.SX | None:

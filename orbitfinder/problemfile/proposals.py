@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from orbitfinder.mechanics.model import energy, wrapped
 from orbitfinder.orbits.guesses.modes import linkage_equilibrium, normal_mode, normal_modes
 from orbitfinder.orbits.guesses.returns import close_returns, recurrences
 from orbitfinder.problemfile.read import ProblemFile
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Proposal:
     table: Table
     details: Table = field(default_factory=dict)
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> Entries:
         """The entry of `--json`."""
         return {
             "name": self.name, "period": self.period, "energy": self.energy, "miss": self.miss,
@@ -91,7 +90,7 @@ def own(loaded: ProblemFile) -> list[Proposal]:
     guess = loaded.problem.guess
     times, states = motion(loaded, guess)
     table = loaded.document.get("guess", {})
-    details: dict[str, Any] = {"source": next(iter(table), "python")}
+    details: Entries = {"source": next(iter(table), "python")}
     if _recorded(loaded, guess):
         details |= {"samples": int(times.size)}
     return [_proposal(loaded, "own", guess, missed(loaded, states), table, details)]

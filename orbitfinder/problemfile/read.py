@@ -43,7 +43,7 @@ from orbitfinder.problemfile.schema import (
 )
 from orbitfinder.problemfile.xpp import xpp_document
 from orbitfinder.records.orbit import SHIFT
-from orbitfinder.records.reading import bounded, file_beside, file_bytes
+from orbitfinder.records.reading import Entries, bounded, file_beside, file_bytes
 
 MANUAL = "docs/problem-file.md"
 
@@ -123,7 +123,7 @@ def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
         return _build(source, document, table, trust)
 
 
-def read_toml(source: Path) -> dict[str, Any]:
+def read_toml(source: Path) -> Entries:
     """The TOML document at a path, or `InputError`."""
     data = file_bytes(source, "problem file", limit=5_000_000)  # 2,000 links with a number each take 0.1 MB
     try:
@@ -180,8 +180,10 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
     else:
         model = build_model(system, source.parent if trust else None)
     model, problem = with_units(model, table.units), None
-    if table.guess is not None and not _resting(table.guess, model):
-        guess = replace(guess_from_table(table.guess, model, source.parent), free=table.guess.free)
+    start = table.guess
+    # a state alone is what equilibria start from: no period is given and nothing drives it
+    if start and not (start.state is not None and start.period is start.duration is model.forcing_period is None):
+        guess = replace(guess_from_table(start, model, source.parent), free=start.free)
         problem = _problem(name, model, guess, table)
         problem.check_count()
     return ProblemFile(
@@ -192,13 +194,8 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
     )  # fmt: skip
 
 
-def _resting(given: GuessTable, model: Model) -> bool:
-    """Whether a guess is a state alone, which equilibria start from: no period is given and nothing drives it."""
-    return given.state is not None and given.period is given.duration is model.forcing_period is None
-
-
 def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Problem:
-    find: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in table.find}
+    find: Entries = {key: tuple(value) if isinstance(value, list) else value for key, value in table.find}
     find["pin"], find["bounds"] = pin(**(find["pin"] or {})), {key: (*ends,) for key, ends in find["bounds"].items()}
     return Problem(
         model, guess, **{key: value for key, value in find.items() if key not in ("starts", "seed")},

@@ -12,7 +12,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.kind import OTHER, system_kind
 from orbitfinder.problemfile.proposals import Proposal, Proposals
 from orbitfinder.problemfile.read import ProblemFile, checked_name
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 
 TEMPLATE = """# The documentation's page "Problem file" (docs/problem-file.md) explains every key.
 # SI units, angles in rad from the downward vertical.
@@ -117,7 +117,7 @@ def orbit_text(document: Table, expected: bool = True) -> str | None:
     return "\n".join(lines) + "\n"
 
 
-def _find(document: Table) -> dict[str, Any]:
+def _find(document: Table) -> Entries:
     provenance = document.get("provenance") or {}
     pin = provenance.get("pin")
     if not isinstance(pin, Mapping):
@@ -133,7 +133,7 @@ def _find(document: Table) -> dict[str, Any]:
     return chosen | {"tolerance": float(document.get("tolerance", 1e-12))}
 
 
-def _control(entry: Table) -> dict[str, Any]:
+def _control(entry: Table) -> Entries:
     """The `[control]` of a controlled orbit, which begins at its own coefficients."""
     same = ("shape", "intervals", "harmonics", "average", "final", "method", "numbers")
     return {
@@ -149,13 +149,12 @@ def _line(text: Any) -> str:
     return "".join(letter if letter.isprintable() else " " for letter in str(text))[:300]
 
 
-KEY = re.compile("[A-Za-z0-9_-]+")
-"""Keys that TOML takes without quotation marks"""
-
-
 def entries(table: Table) -> list[str]:
     """The lines of a TOML table."""
-    return [f"{key if KEY.fullmatch(str(key)) else inert(key, 'toml')} = {toml(value)}" for key, value in table.items()]
+    return [
+        f"{key if re.fullmatch('[A-Za-z0-9_-]+', str(key)) else inert(key, 'toml')} = {toml(value)}"
+        for key, value in table.items()
+    ]
 
 
 def toml(value: Any) -> str:

@@ -9,12 +9,11 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from orbitfinder.errors import InputError, shortened
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, altered
-from orbitfinder.records.reading import file_bytes
+from orbitfinder.records.reading import Entries, file_bytes
 
 WORD, NUMBER = re.compile(r"(?<![\w.])[A-Za-z_]\w*"), r"[+-]?(?:\d++\.?\d*+|\.\d++)(?:[eE][+-]?\d++)?"
 VALUE = rf"([A-Za-z_]\w*) ?= ?({NUMBER})(?: ?, ?| |$)"
@@ -91,7 +90,7 @@ def from_xpp(path: str | Path, period: str | float | None = None) -> Model:
     return altered(build_model(document["system"]), landmarks={"init": tuple(document["simulate"]["state"])})
 
 
-def xpp_document(path: Path, period: str | float | None = None) -> dict[str, Any]:
+def xpp_document(path: Path, period: str | float | None = None) -> Entries:
     """The problem file that an XPPAUT file stands for: its equations, and where its simulation starts."""
     seen: dict[tuple[str, str], _Entry] = {}
     for entry in _entries(path):
@@ -103,7 +102,7 @@ def xpp_document(path: Path, period: str | float | None = None) -> dict[str, Any
     if not tables["rates"]:
         raise InputError(f"{path}: no equations x'=... or dx/dt=...; give an XPPAUT file of differential equations")
     spelled = {entry.word: entry.name.partition("(")[0].strip() for each in tables.values() for entry in each}
-    system: dict[str, Any] = {
+    system: Entries = {
         "kind": "equations", "find_invariants": True,
         "parameters": {entry.name: float(entry.text) for entry in tables["parameters"]},
         **{key: {entry.name: _translated(entry, spelled) for entry in tables[key]} for key in ("rates", "let")},

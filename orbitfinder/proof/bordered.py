@@ -55,7 +55,7 @@ from orbitfinder.proof.krawczyk import (
     norm,
     solve,
 )
-from orbitfinder.proof.program import Ring, bound, graphs
+from orbitfinder.proof.program import bound, graphs
 from orbitfinder.proof.record import (
     DIGITS,
     MARGIN,
@@ -203,7 +203,11 @@ def bordered_field(model: Model, codes: Programs, form: TwistedFormulation, para
     q, v = (x, none) if codes.mass is None and form.symmetry.first_order else (x[: form.size], x[form.size :])
     turning = ca.SX(1)
     if codes.clock is not None:  # the phase goes round with the drive, whatever its frequency is
-        turning = _turning(codes, values, make_field(model, codes), graphs(numbers))
+        if codes.clock.value is not None:  # the frequency times its denominator, a graph of the parameters
+            plain_field, place = make_field(model, codes), codes.clock.value
+            unused, only = [ca.SX(0)] * plain_field.dimension, replace(codes.rates, outputs=({0: place},))
+            value = only.run([unused, unused, unused, values], graphs(numbers))[0][0]
+            turning = codes.clock.factor.numerator * (value if plain_field.plain.fixed[place] > 0 else -value)
         q, v = ca.vertcat(x, state[-1] / turning), none
     rates = codes.rates.run([_entries(q), _entries(v), [s], values], graphs(numbers))[0]
     count = q.numel() if v.numel() == 0 else form.size
@@ -229,17 +233,6 @@ def bordered_field(model: Model, codes: Programs, form: TwistedFormulation, para
 
 def _entries(graph: Any) -> list[Any]:
     return [graph[k] for k in range(graph.numel())]
-
-
-def _turning(codes: Programs, values: Sequence[Any], plain: Field, ring: Ring) -> Any:
-    """How fast the phase grows, a graph of the parameters: the frequency times its denominator; time itself where no
-    parameter has a part in it."""
-    assert codes.clock is not None
-    if codes.clock.value is None:
-        return ca.SX(1)
-    unused, place = [ca.SX(0)] * plain.dimension, codes.clock.value
-    value = replace(codes.rates, outputs=({0: place},)).run([unused, unused, unused, values], ring)[0][0]
-    return codes.clock.factor.numerator * (value if plain.plain.fixed[place] > 0 else -value)
 
 
 # --------------------------------------------------------------------------------------------------

@@ -59,7 +59,7 @@ from orbitfinder.proof.series import BALLS
 from orbitfinder.proof.theorem import NotProved, Options, Progress, provable_system
 from orbitfinder.proof.trajectory import positive_definite
 from orbitfinder.records.codec import Codec
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 
 BITS, NEWTON, SHARPER, LEAST = 160, 12, 20, 1e-30
 """Precision; Newton's steps to a centre; how often the operator is applied to its own image; recorded balls are wider
@@ -514,7 +514,7 @@ def _part(rest: _Rest, what: _Claim, margin: float, digits: int) -> ProvedRest:
                         f"{distance:.3g} away, in the sizes of the state and the parameter")  # fmt: skip
     linear = Slopes(*rest.slopes(x, rest.parameters(value)))
 
-    def wide(ball: Any, unit: float = 0.0) -> dict[str, Any]:
+    def wide(ball: Any, unit: float = 0.0) -> Entries:
         unit = unit or float(abs(ball.mid()))
         return enclosure(ball + arb(0, (margin - 1.0) * LEAST * unit), digits, margin)
 

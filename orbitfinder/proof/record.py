@@ -23,7 +23,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Versioned, arb, precision, why_not
 from orbitfinder.proof.theorem import STATEMENT, NotProved, Options, Progress, Proof, provable_model, proved_until
 from orbitfinder.records.orbit import Orbit, read_document, recorded_proof
-from orbitfinder.records.reading import Table, read_as, write_json
+from orbitfinder.records.reading import Entries, Table, read_as, write_json
 
 Record = TypeVar("Record")
 Same = Callable[[Any, Any], bool]
@@ -35,7 +35,7 @@ LOOSEST = 0.1
 """Radius beyond which a recorded ball claims next to nothing, unless no smaller one is found; relative above 1"""
 
 
-def enclosure(ball: Any, digits: int = DIGITS, margin: float = 1.0) -> dict[str, Any]:
+def enclosure(ball: Any, digits: int = DIGITS, margin: float = 1.0) -> Entries:
     """A ball as {"value": decimal, "radius": float}: it lies within `radius` / margin of the decimal as written."""
     text = ball.mid().str(digits, radius=False)
     apart = (ball - arb(text)).abs_upper()
@@ -48,10 +48,10 @@ def in_digits(ball: Table) -> str:
     return f"{Decimal(ball['value']):.{places}f} +/- {ball['radius']:.1g}"
 
 
-def entry(proof: Proof, margin: float = MARGIN, digits: int = DIGITS) -> dict[str, Any]:
+def entry(proof: Proof, margin: float = MARGIN, digits: int = DIGITS) -> Entries:
     """The JSON form of a proof."""
     with precision(max(proof.settings.bits, 4 * digits)):
-        document: dict[str, Any] = {
+        document: Entries = {
             "theorem": STATEMENT,
             "proved": proof.proved,
             "reason": proof.reason,
@@ -65,7 +65,7 @@ def entry(proof: Proof, margin: float = MARGIN, digits: int = DIGITS) -> dict[st
         return document | (_proved(proof, margin, digits) if proof.proved else {})
 
 
-def _proved(proof: Proof, margin: float, digits: int) -> dict[str, Any]:
+def _proved(proof: Proof, margin: float, digits: int) -> Entries:
     assert proof.stability is not None
     wide = partial(enclosure, digits=digits, margin=margin)
     return {
@@ -89,7 +89,7 @@ def _proved(proof: Proof, margin: float, digits: int) -> dict[str, Any]:
     }
 
 
-def proved_entry(orbit: Orbit, folder: str | None, options: Options) -> dict[str, Any]:
+def proved_entry(orbit: Orbit, folder: str | None, options: Options) -> Entries:
     """The entry of the proof of an orbit, whose system a module of a trusted folder may make: a task that travels."""
     return entry(proved_until(lambda proof: True, orbit, provable_model(orbit, home(folder)), options, None))
 
@@ -148,7 +148,7 @@ def options_of(recorded: Table) -> Options:
             f"proof.box_radius: {known.box_radius:g} is less than proof.enclosure_radius {known.enclosure_radius:g}, "
             "so that the box need not hold the orbit; prove the orbit again"
         )
-    chosen: dict[str, Any] = {"symmetry": known.symmetry, "segments": known.segments, "phase": known.phase % 1.0}
+    chosen: Entries = {"symmetry": known.symmetry, "segments": known.segments, "phase": known.phase % 1.0}
     with suppress(KeyError, TypeError, ValueError):
         nodes = np.array([[float(ball["value"]) for ball in node] for node in recorded["nodes"]])
         if nodes.ndim == 2 and len(nodes) == known.segments and np.all(np.isfinite(nodes)):

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.records.codec import Filed, Unknown, entries_of
-from orbitfinder.records.reading import typed
+from orbitfinder.records.reading import Entries, typed
 
 AT_MOST, AT_LEAST, EQUAL = "\N{LESS-THAN OR EQUAL TO}", "\N{GREATER-THAN OR EQUAL TO}", ""
 """What a check may ask of its number and its tolerance; EQUAL where only yes or no was asked, whose tolerance is 0"""
@@ -119,7 +119,7 @@ def certified(record: Any) -> bool:
     return record.certificate is not None and bool(record.certificate.passed)
 
 
-def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
+def certificate_to_document(certificate: Certificate | None) -> Entries:
     """The `certificate` entry of a file."""
     return {"passed": False, "scale": 1.0, "checks": []} if certificate is None else entries_of(certificate)
 

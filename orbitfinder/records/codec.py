@@ -22,6 +22,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import chosen
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import (
+    Entries,
     arrays,
     bounded,
     content_digest,
@@ -110,7 +111,7 @@ def layout(kind: Any) -> tuple[FileEntry, ...]:
     return tuple(entries)
 
 
-def entries_of(record: Any, kind: Any = None) -> dict[str, Any]:
+def entries_of(record: Any, kind: Any = None) -> Entries:
     """A record in plain numbers, without what is dense; as of a `kind` that its own class derives from."""
     entries = {}
     for name, field, filed, sparse in layout(kind or record.__class__):
@@ -150,7 +151,7 @@ def outline(value: Any, whole: bool = True, most: int = 24) -> Any:
     return plain(value)
 
 
-def check_format(document: Any, wanted: str, version: int, where: str, give: str, again: str) -> dict[str, Any]:
+def check_format(document: Any, wanted: str, version: int, where: str, give: str, again: str) -> Entries:
     """The same document, if it is of the format and version that are wanted, or `InputError`."""
     if not isinstance(document, dict):
         raise InputError(f"{where}: format: expected an object, got {type(document).__name__}; {give}")
@@ -162,7 +163,7 @@ def check_format(document: Any, wanted: str, version: int, where: str, give: str
     return document
 
 
-def unsealed(document: dict[str, Any], where: str, again: str, required: bool = False) -> dict[str, Any]:
+def unsealed(document: Entries, where: str, again: str, required: bool = False) -> Entries:
     """The same document without its digest. Raises `InputError` where that is of another content, or missing."""
     record = document.pop("record", None)
     if (record is not None or required) and record != content_digest(document):
@@ -189,7 +190,7 @@ class Codec(Generic[Record]):
         """What a file says that it is."""
         return f"orbitfinder/{self.name}"
 
-    def document(self, record: Record) -> dict[str, Any]:
+    def document(self, record: Record) -> Entries:
         """The JSON document of a record; floats round-trip exactly."""
         document = {"format": self.format, "version": self.version, **entries_of(record, self.kind)}
         return document | {"record": content_digest(document)} if self.sealed else document

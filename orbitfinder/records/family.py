@@ -30,6 +30,7 @@ from orbitfinder.records.ends import unknown_end
 from orbitfinder.records.journal import append_line, read_lines
 from orbitfinder.records.orbit import Orbit, incomputable, system_at
 from orbitfinder.records.reading import (
+    Entries,
     Table,
     arrays,
     content_digest,
@@ -58,7 +59,7 @@ AVOIDED, BECOMES, DECIDED, UNCHANGING = (
 )  # fmt: skip
 """The details of an avoided crossing; of a change of stability, in the order in which a family is listed; verdicts that
 say something; events at which they do not change"""
-CURVE: dict[str, Any] = {
+CURVE: Entries = {
     "cycles": int, "watch": dict[str, Any], "parameters": tuple[str, str], "test": dict[str, Any], "method": str,
     "form": str, "pace": float, "fixed": dict[str, float], "free": tuple[str, ...],
 }  # fmt: skip
@@ -622,7 +623,7 @@ def assemble(journal: Journal) -> Family:
     return Family(header["name"], header["system"], header["parameter"], numbered, indexed, ends, *more)
 
 
-def family_to_document(family: Family) -> dict[str, Any]:
+def family_to_document(family: Family) -> Entries:
     """The contract of family.json; floats round-trip exactly."""
     points = []
     for point in family.points:
@@ -706,7 +707,7 @@ def load_family(path: str | Path) -> Family:
         raise InputError(f"{source}: curve or system: {error}; {AGAIN}") from error
 
 
-def _put_back(dense: Mapping[str, np.ndarray], kind: str, document: dict[str, Any]) -> None:
+def _put_back(dense: Mapping[str, np.ndarray], kind: str, document: Entries) -> None:
     """Give the points or events of a document the arrays of family.npz."""
     entries = document[f"{kind}s"] = list(typed(tuple[dict[str, Any], ...], document[f"{kind}s"], f"{kind}s"))
     split = {name: _pieces(dense, f"{kind}_{name}", len(entries)) for name in DENSE}

@@ -20,6 +20,7 @@ import numpy as np
 from orbitfinder._runtime import locks
 from orbitfinder.errors import InputError, shortened
 from orbitfinder.records.reading import (
+    Entries,
     Table,
     content_digest,
     file_lines,
@@ -51,9 +52,7 @@ class Checkpoints(Generic[Line]):
 
 
 @contextlib.contextmanager
-def checkpoints(
-    path: Path | None, request: Table, read: Callable[[dict[str, Any]], Line]
-) -> Iterator[Checkpoints[Line]]:
+def checkpoints(path: Path | None, request: Table, read: Callable[[Entries], Line]) -> Iterator[Checkpoints[Line]]:
     """Those of a request (plain numbers) at a path, whose folder nobody else has meanwhile; nothing without a path.
 
     Raises `InputError` where it cannot be read, and for what is kept there of another request.
@@ -65,7 +64,7 @@ def checkpoints(
         yield Checkpoints(path, known_lines(path, request, read))
 
 
-def known_lines(path: Path, request: Table, read: Callable[[dict[str, Any]], Line]) -> list[Line]:
+def known_lines(path: Path, request: Table, read: Callable[[Entries], Line]) -> list[Line]:
     """The lines of the journal of a request, which is begun where there is none, or another without a line.
 
     Raises `InputError` where it cannot be read, and for the lines of another request, which nothing writes over.
@@ -84,7 +83,7 @@ def known_lines(path: Path, request: Table, read: Callable[[dict[str, Any]], Lin
     return known
 
 
-def header_of(request: Table) -> dict[str, Any]:
+def header_of(request: Table) -> Entries:
     """The first line of the journal of a request."""
     return {"format": FORMAT, "version": VERSION, "request": request}
 
@@ -169,7 +168,7 @@ def seal(entries: Table) -> str:
     return content_digest(entries)[:16]
 
 
-def read_lines(path: Path, what: str) -> tuple[list[dict[str, Any]], bool] | None:
+def read_lines(path: Path, what: str) -> tuple[list[Entries], bool] | None:
     """The lines of a journal, header first, and whether all have digests; a damaged last line is cut off the file.
 
     None where there is no file. Raises `InputError` about any other line that is not as it was written.
@@ -192,7 +191,7 @@ def read_lines(path: Path, what: str) -> tuple[list[dict[str, Any]], bool] | Non
     return [{key: value for key, value in entry.items() if key != SEAL} for entry in entries], sealed
 
 
-def _lines(path: Path, what: str) -> Iterator[dict[str, Any] | InputError]:
+def _lines(path: Path, what: str) -> Iterator[Entries | InputError]:
     """What each line says, or what is wrong with it."""
     sealed = False
     for number, line in enumerate(file_lines(path, what), start=1):

@@ -16,6 +16,7 @@ from orbitfinder.records.certificate import Certified
 from orbitfinder.records.codec import Complexes, Dense, Filed, Unknown, check_format, entries_of
 from orbitfinder.records.control import check_control
 from orbitfinder.records.reading import (
+    Entries,
     Table,
     arrays,
     content_digest,
@@ -154,9 +155,9 @@ OFTEN_EMPTY = ("winding", "nodes", "expected", "certificate", "provenance", "shi
 """Entries that say nothing where they are empty or null"""
 
 
-def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
+def orbit_to_document(orbit: Orbit) -> Entries:
     """The JSON document of an orbit (the contract of orbit.json); floats round-trip exactly."""
-    document: dict[str, Any] = {"format": FORMAT, "version": VERSION, **entries_of(orbit, Orbit)}
+    document: Entries = {"format": FORMAT, "version": VERSION, **entries_of(orbit, Orbit)}
     if not unconserved(orbit):
         document["energy"] = plain_numbers(orbit.energy)  # nan is no energy of a mechanical system
     document["record"] = digest(document)
@@ -273,31 +274,24 @@ def save_orbit(orbit: Orbit, path: str | Path) -> Path:
 def read_orbit(source: Path) -> Orbit:
     """The Orbit of an orbit.json (and orbit.npz if it is there). Raises `InputError` on anything unreadable."""
     orbit = orbit_from_document(json_file(source, "orbit.json", AGAIN), str(source))
-    times, samples = dense_samples(source.with_suffix(".npz"), orbit.state.size)
+    beside, size = source.with_suffix(".npz"), orbit.state.size
+    times, samples = np.zeros(0), np.zeros((0, size))
+    if beside.exists():
+        dense = arrays(beside, ("times", "samples"), AGAIN)
+        times, samples = dense["times"].astype(float), dense["samples"].astype(float)
+        fits = times.ndim == 1 and samples.shape == (times.size, size) and times.size != 1
+        # times increase; those of a hybrid orbit's events come twice, with the state before and the state after
+        if not fits or np.any(np.diff(times) < 0) or np.any(times[2:] <= times[:-2]):
+            raise InputError(f"{beside}: damaged (its times and states do not fit together or the orbit); {AGAIN}")
     return replace(orbit, times=times, samples=samples)
 
 
-def dense_samples(path: Path, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Times (s) and states (k x 2n) of an orbit.npz; none where there is no such file. Raises `InputError`.
-
-    Times increase; those of a hybrid orbit's events come twice, with the state before and the state after.
-    """
-    if not path.exists():
-        return np.zeros(0), np.zeros((0, size))
-    dense = arrays(path, ("times", "samples"), AGAIN)
-    times, samples = dense["times"].astype(float), dense["samples"].astype(float)
-    fits = times.ndim == 1 and samples.shape == (times.size, size) and times.size != 1
-    if not fits or np.any(np.diff(times) < 0) or np.any(times[2:] <= times[:-2]):
-        raise InputError(f"{path}: damaged (its times and states do not fit together or the orbit); {AGAIN}")
-    return times, samples
-
-
-def read_document(source: Path) -> dict[str, Any]:
+def read_document(source: Path) -> Entries:
     """The checked JSON document at a path."""
     return check_document(json_file(source, "orbit.json", AGAIN), str(source))
 
 
-def check_document(document: Any, where: str) -> dict[str, Any]:
+def check_document(document: Any, where: str) -> Entries:
     """The same document, if it is that of an orbit, or `InputError`; what is in it `orbit_from_document` reads."""
     several = isinstance(document, (list, dict)) and document and (isinstance(document, list) or "points" in document)
     give = f"give an orbit.json{f', or one orbit of the file: {where}#0' if several else ''}"

@@ -310,7 +310,7 @@ def _record(kind: Any, value: Any, where: str) -> Any:
 
 
 @lru_cache
-def hints(kind: type) -> dict[str, Any]:
+def hints(kind: type) -> Entries:
     """The annotations of a class by name, what they are `Annotated` with included."""
     return typing.get_type_hints(kind, include_extras=True)
 
@@ -351,7 +351,7 @@ def _complex(_: Any, value: Any, where: str) -> complex:
     return complex(*(_number((), part, where) for part in value))
 
 
-def _table(of: tuple[Any, ...], value: Any, where: str) -> dict[str, Any]:
+def _table(of: tuple[Any, ...], value: Any, where: str) -> Entries:
     if not isinstance(value, Mapping):
         raise _wrong(where, "a table", value)
     if not of or of == (str, Any):
@@ -432,7 +432,7 @@ def _replace(temporary: str, path: Path) -> None:
 
 def json_bytes(document: Any, compact: bool = False) -> bytes:
     """A document as a line, or over as many lines as it has entries; floats round-trip exactly."""
-    form: dict[str, Any] = {"separators": (",", ":")} if compact else {"indent": 1}
+    form: Entries = {"separators": (",", ":")} if compact else {"indent": 1}
     return (json.dumps(document, allow_nan=False, **form) + "\n").encode()
 
 

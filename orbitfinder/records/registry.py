@@ -19,7 +19,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.records.codec import outline
 from orbitfinder.records.family import load_family
 from orbitfinder.records.orbit import Orbit, orbit_from_document, read_orbit
-from orbitfinder.records.reading import file_head
+from orbitfinder.records.reading import Entries, file_head
 
 DATABASES = (".sqlite", ".sqlite3", ".db")
 OURS = re.compile(rb'\s*(?:(\[)\s*[{\]]|\{[^\[{]*?"format"\s*:\s*"orbitfinder/([\w-]+)")')
@@ -179,11 +179,11 @@ def answers_of(kind: Kind) -> list[str]:
     return ["show", *(verb for verb in VERBS if getattr(kind, verb))]
 
 
-def shown(path: str | Path) -> tuple[str, dict[str, Any]]:
+def shown(path: str | Path) -> tuple[str, Entries]:
     """The kind of FILE or FILE#K, and what it holds, in short (see `outline`)."""
     name, kind = held(path)
     record = load(path)
-    found: dict[str, Any] = outline(loaded(kind.facts)(record) if kind.facts else record)
+    found: Entries = outline(loaded(kind.facts)(record) if kind.facts else record)
     return name, found
 
 

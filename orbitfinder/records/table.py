@@ -10,7 +10,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import Shown
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder.errors import InputError
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 
 Tables = dict[str, dict[str, Any]]
 """Columns by the table that they are of"""
@@ -56,7 +56,7 @@ def framed(columns: Mapping[str, Sequence[Any]]) -> Any:
     """Columns as a pandas.DataFrame, without pandas as a NumPy record array."""
     words = ("kind", "detail", "criticality", "reason", "stability", "became", "curve")
     empty = dict.fromkeys(words, str) | {"certified": bool, "point": int, "order": int}
-    arrays: dict[str, Any] = {
+    arrays: Entries = {
         name: np.asarray(values, None if len(values) else empty.get(name)) for name, values in columns.items()
     }
     try:
@@ -66,7 +66,7 @@ def framed(columns: Mapping[str, Sequence[Any]]) -> Any:
     return DataFrame(arrays)
 
 
-def placed(parameters: Table, columns: Table) -> dict[str, Any]:
+def placed(parameters: Table, columns: Table) -> Entries:
     """A table's columns: the row's number, then parameters by their own names, which no other column takes."""
     count = len(next(iter({**parameters, **columns}.values())))
     return {"index": np.arange(count), **parameters, **columns, **parameters}
@@ -88,7 +88,7 @@ def extent_columns(names: Sequence[str], low: np.ndarray, high: np.ndarray) -> d
     }
 
 
-def verdict_columns(points: Sequence[Any], certified: Sequence[bool]) -> dict[str, Any]:
+def verdict_columns(points: Sequence[Any], certified: Sequence[bool]) -> Entries:
     """largest_multiplier, stability, certified and closure of orbits."""
     return {
         "largest_multiplier": [max(map(abs, point.floquet_multipliers.tolist()), default=1.0) for point in points],
@@ -98,7 +98,7 @@ def verdict_columns(points: Sequence[Any], certified: Sequence[bool]) -> dict[st
     }
 
 
-def stacked(parts: Mapping[str, Table]) -> dict[str, Any]:
+def stacked(parts: Mapping[str, Table]) -> Entries:
     """Tables below each other by the file that each is of, a column `curve`; nothing where a part has not a column."""
     columns = dict[str, list[Any]]({"curve": []})
     lengths = {file: len(next(iter(part.values()))) for file, part in parts.items()}

@@ -14,7 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from orbitfinder._runtime import __version__
 from orbitfinder.errors import InputError
-from orbitfinder.records.reading import write_atomically
+from orbitfinder.records.reading import Entries, write_atomically
 from orbitfinder.reproduce.facts import FORMULATIONS, HOURS_FOR_100_LINKS, ORBITS, SEPARATION, SIZES, TOLERANCE
 
 
@@ -27,9 +27,9 @@ class Part:
     module: str
     function: str
 
-    def compute(self, folder: Path) -> dict[str, Any]:
+    def compute(self, folder: Path) -> Entries:
         """Run it; the module is imported only now."""
-        chosen: Callable[[Path], dict[str, Any]] = getattr(import_module(self.module), self.function)
+        chosen: Callable[[Path], Entries] = getattr(import_module(self.module), self.function)
         return chosen(folder)
 
 
@@ -45,7 +45,7 @@ PARTS = (
 Report = Callable[[str, int, int], None]
 
 
-def reproduce(folder: str | Path, fresh: bool = False, report: Report | None = None) -> dict[str, Any]:
+def reproduce(folder: str | Path, fresh: bool = False, report: Report | None = None) -> Entries:
     """Regenerate the report's results in `folder` and the page README.md beside them.
 
     Finished parts are recorded in numbers/<part>.json and not computed again unless `fresh` or the
@@ -56,7 +56,7 @@ def reproduce(folder: str | Path, fresh: bool = False, report: Report | None = N
         (out / "numbers").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"out: cannot write to {out} ({error.strerror}); choose a writable folder") from error
-    numbers: dict[str, Any] = {}
+    numbers: Entries = {}
     for k, part in enumerate(PARTS):
         if report:
             report(part.says, k, len(PARTS))
@@ -67,7 +67,7 @@ def reproduce(folder: str | Path, fresh: bool = False, report: Report | None = N
     return numbers
 
 
-def _once(part: Part, out: Path, fresh: bool) -> dict[str, Any]:
+def _once(part: Part, out: Path, fresh: bool) -> Entries:
     """A part's numbers, from its record when that was made by the same code."""
     record = out / "numbers" / f"{part.name}.json"
     key = fingerprint(part)

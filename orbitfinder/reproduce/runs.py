@@ -16,6 +16,7 @@ from orbitfinder.mechanics.constrained import maximal_states, minimal_states
 from orbitfinder.mechanics.model import Baumgarte, energies, positions
 from orbitfinder.mechanisms.chain import chain, chain_dae
 from orbitfinder.mechanisms.linkage import assemble, linkage, linkage_rates, linkage_state
+from orbitfinder.records.reading import Entries
 from orbitfinder.reproduce.facts import (
     FIGURE_OF_METHOD,
     FORMULATIONS,
@@ -75,9 +76,9 @@ def simulate(method: str, span: float, baumgarte: Baumgarte | None = None) -> Me
     return MethodRun(times, states, kinetic + potential, np.zeros(count), np.zeros(count))
 
 
-def energy_part(folder: Path) -> dict[str, Any]:
+def energy_part(folder: Path) -> Entries:
     """Figures 2, 4, 5: energy of the triple pendulum by each method over 10 s, its drift, the DAE's phi."""
-    numbers: dict[str, Any] = {"span": ENERGY_SPAN, "start": "horizontal rest"}
+    numbers: Entries = {"span": ENERGY_SPAN, "start": "horizontal rest"}
     runs = {method: simulate(method, ENERGY_SPAN) for method in METHODS}
     runs["dae with Baumgarte"] = simulate("dae", ENERGY_SPAN, STABILISED)
     for method, run in runs.items():
@@ -119,13 +120,13 @@ def energy_figure(runs: dict[str, MethodRun], title: str) -> Any:
 PAIRS = (("lagrange", "newton-euler", 6), ("lagrange", "dae", 7), ("dae", "newton-euler", 8))
 
 
-def difference_part(folder: Path) -> dict[str, Any]:
+def difference_part(folder: Path) -> Entries:
     """Figures 6 to 8: how the methods separate over 25 s, and the Lyapunov exponent that explains it."""
     runs = {method: simulate(method, COMPARISON_SPAN) for method in ("lagrange", "newton-euler", "dae")}
     exponent = float(stretching(LYAPUNOV_SPAN, 1.0)[-1]) / LYAPUNOV_SPAN
     expected = stretching(COMPARISON_SPAN, STRETCH)
     at_first = float(expected[round(SEPARATION / STRETCH) - 1]) / SEPARATION
-    numbers: dict[str, Any] = {
+    numbers: Entries = {
         "span": COMPARISON_SPAN, "lyapunov": exponent, "lyapunov_span": LYAPUNOV_SPAN, "at_first": at_first,
     }  # fmt: skip
     for first, second, number in PAIRS:
@@ -236,7 +237,7 @@ def run(which: FourBar) -> DaeTrajectory:
     return simulate_dae(model, start, SPAN, SAMPLES, DaeSettings(IDAS_TOLERANCE, IDAS_TOLERANCE))
 
 
-def four_bar_part(folder: Path) -> dict[str, Any]:
+def four_bar_part(folder: Path) -> Entries:
     """Simulate the linkages, draw figure 10 and animate them."""
     entries = []
     for which in FOUR_BARS:
@@ -294,12 +295,12 @@ def figure_10(result: DaeTrajectory, points: np.ndarray) -> Any:
 LINKS = 100
 
 
-def derivation_part(folder: Path) -> dict[str, Any]:
+def derivation_part(folder: Path) -> Entries:
     """Seconds and operations to derive n links by each formulation, with the exponent of growth.
 
     These are the only numbers of the report page that differ from run to run.
     """
-    costs: dict[str, Any] = {}
+    costs: Entries = {}
     for formulation in FORMULATIONS:
         seconds: dict[str, float] = {}
         operations: dict[str, int] = {}
@@ -308,7 +309,10 @@ def derivation_part(folder: Path) -> dict[str, Any]:
             operations[str(count)] = _operations(model.acceleration)
             if seconds[str(count)] > 1.5:
                 break  # one size more is some 3 times larger
-        costs[formulation] = {"seconds": seconds, "operations": operations, "exponent": _exponent(seconds)}
+        # the slope of log(time) against log(n) over n >= 30, where the fixed costs have faded
+        counts, times = np.array([(float(n), seconds[n]) for n in seconds if int(n) >= 30]).reshape(-1, 2).T
+        exponent = float(np.polyfit(np.log(counts), np.log(times), 1)[0]) if counts.size > 1 else float("nan")
+        costs[formulation] = {"seconds": seconds, "operations": operations, "exponent": exponent}
     save_both(derivation_figure(costs), folder / "derivation")
     return costs
 
@@ -334,14 +338,7 @@ def _operations(function: Any) -> int:
     return sum(_operations(part) for part in inner)
 
 
-def _exponent(seconds: dict[str, float]) -> float:
-    """Slope of log(time) against log(n) over n >= 30, where the fixed costs have faded."""
-    counts = np.array([float(n) for n in seconds if int(n) >= 30])
-    times = np.array([seconds[n] for n in seconds if int(n) >= 30])
-    return float(np.polyfit(np.log(counts), np.log(times), 1)[0]) if counts.size > 1 else float("nan")
-
-
-def derivation_figure(costs: dict[str, Any]) -> Any:
+def derivation_figure(costs: Entries) -> Any:
     """Time to derive against the number of links, log-log."""
     figure = new_figure(6.4, 3.8, "Time to derive n links")
     axes = figure.subplots()
@@ -361,7 +358,7 @@ def derivation_figure(costs: dict[str, Any]) -> Any:
     return figure
 
 
-def hundred_part(folder: Path) -> dict[str, Any]:
+def hundred_part(folder: Path) -> Entries:
     """100 links from horizontal rest for 10 s: energy drift against m g l n^2 / 2, and an animation."""
     model = chain(LINKS)
     start = np.concatenate([np.full(LINKS, np.pi / 2), np.zeros(LINKS)])

@@ -15,6 +15,7 @@ from orbitfinder.families.plane import ParameterMap
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import given_units, units
 from orbitfinder.records.family import UNITS
+from orbitfinder.records.reading import Entries
 from orbitfinder.show.plot import forced_unit
 from orbitfinder.show.style import legend, new_figure, save_all
 from orbitfinder.show.svg import axis
@@ -44,7 +45,7 @@ def map_figure(plane: ParameterMap, model: Model | None) -> Figure:
         middle = (values[1:] + values[:-1]) / 2
         edges.append(np.concatenate([[2 * values[0] - middle[0]], middle, [2 * values[-1] - middle[-1]]]))
     axes.set_facecolor(NOTHING)
-    style: dict[str, Any] = {"rasterized": True, "linewidth": 0}
+    style: Entries = {"rasterized": True, "linewidth": 0}
     if plane.by == "stability":
         numbers, names = regions(plane), list(REGIONS)
         axes.pcolormesh(*edges, numbers, cmap=ListedColormap(list(REGIONS.values())), vmin=-0.5, vmax=3.5, **style)
@@ -54,7 +55,12 @@ def map_figure(plane: ParameterMap, model: Model | None) -> Figure:
         figure.colorbar(axes.pcolormesh(*edges, values, cmap="viridis", **style), ax=axes, label=words)
     if not plane.known.all():
         shown["no orbit"] = Patch(color=NOTHING)
-    _boundary(axes, plane, shown)
+    sizes, stable = plane.values("multiplier"), plane.values("stability")
+    if 0 < np.nansum(stable) < plane.known.sum():  # of what dissipates stability changes where the largest is 1
+        shrinks = np.nanmin(np.where(stable == 1, sizes, np.inf)) < 1.0 - REAL
+        between = np.log(np.maximum(sizes, LEAST)) if shrinks else 0.5 - stable
+        axes.contour(plane.columns, plane.rows, between, levels=[0.0], colors="black", linewidths=1.0)
+        shown["stability changes"] = Line2D([], [], color="black", linewidth=1.0)
     axes.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]], xlabel=_named(plane, 0), ylabel=_named(plane, 1))
     axes.locator_params(nbins=6)
     legend(figure, shown, "lower center", ncols=2)
@@ -67,18 +73,6 @@ def regions(plane: ParameterMap) -> np.ndarray:
     turned = np.abs(np.arctan2(imaginary, real))
     how = np.where(turned < REAL, 1.0, np.where(np.pi - turned < REAL, 2.0, 3.0))
     return np.where(plane.known, np.where(plane.stable, 0.0, how), np.nan)
-
-
-def _boundary(axes: Any, plane: ParameterMap, shown: dict[str, Any]) -> None:
-    """Lines where stability changes, of what dissipates where the largest multiplier is 1."""
-    sizes, stable = plane.values("multiplier"), plane.values("stability")
-    if not 0 < np.nansum(stable) < plane.known.sum():
-        return
-    shrinks = np.nanmin(np.where(stable == 1, sizes, np.inf)) < 1.0 - REAL
-    between = np.log(np.maximum(sizes, LEAST)) if shrinks else 0.5 - stable
-    style: dict[str, Any] = {"colors": "black", "linewidths": 1.0}
-    axes.contour(plane.columns, plane.rows, between, levels=[0.0], **style)
-    shown["stability changes"] = Line2D([], [], color="black", linewidth=1.0)
 
 
 def _numbers(plane: ParameterMap, model: Model | None) -> tuple[str, np.ndarray]:

@@ -17,7 +17,7 @@ from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import given_units, units
 from orbitfinder.orbits.course import Course
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 
 Strokes = Sequence[tuple[str, tuple[int, ...]]]
 Outline = Callable[[np.ndarray, float], np.ndarray]
@@ -29,10 +29,6 @@ CIRCLE = np.array([function(np.linspace(0.0, 2 * np.pi, 40)) for function in (np
 def _line(at: np.ndarray, half: float) -> np.ndarray:
     """A line through points (2 x k); a mass in one point as a circle."""
     return at if at.shape[1] > 1 else at + half * CIRCLE
-
-
-def _nothing(at: np.ndarray, _: float) -> np.ndarray:
-    return at[:, :0]
 
 
 def _disc(at: np.ndarray, _: float) -> np.ndarray:
@@ -81,7 +77,7 @@ class Brush:
 BRUSHES = {
     "rod": Brush(_line, 1.0, rigid=True, pinned=True),
     "bone": Brush(_line, 1.0, rigid=True, pinned=True, covered=True),
-    "solid": Brush(_nothing, boxed=True),
+    "solid": Brush(lambda at, _: at[:, :0], boxed=True),
     "spring": Brush(_spring),
     "disc": Brush(_disc, rigid=True, centred=True),
     "slider": Brush(_slider, filled=True, covered=True),
@@ -172,14 +168,9 @@ def cuts_of(course: Course, moments: np.ndarray) -> tuple[int, ...]:
 
 def spatial(model: Model) -> bool:
     """Whether a system is drawn in space: it says where its points are there, or its state is a point there."""
-    return model.space is not None or (model.points is None and _third(model) > 1)
-
-
-def _third(model: Model) -> int:
-    """Which component of the state of what draws no points goes upwards in space; 1 where there is none for it."""
     n = model.degrees_of_freedom
     count = n // 2 if model.rates is not None and model.hamiltonian else n
-    return 2 if count == 3 and not model.angular.any() else 1
+    return model.space is not None or (model.points is None and count == 3 and not model.angular.any())
 
 
 def places(model: Model, states: np.ndarray) -> np.ndarray:
@@ -235,7 +226,7 @@ def landmarks(model: Model) -> list[tuple[str, tuple[float, ...], float]]:
     return [(name, place, radius) for (name, radius), place in told]
 
 
-def scenery(model: Model) -> dict[str, Any]:
+def scenery(model: Model) -> Entries:
     """What stands about a motion: `marks` (name, place, radius of a body or 0), in space also its `axes` by name
     (directions, 3) and the `unit` of lengths."""
     n = len(model.state_names)
@@ -243,7 +234,7 @@ def scenery(model: Model) -> dict[str, Any]:
     def at(coordinates: Sequence[float] | np.ndarray) -> np.ndarray:
         return places(model, np.resize([*coordinates, *np.zeros(n)], (1, n)))[0, :, 0]
 
-    own: dict[str, Any] = {"marks": [[name, at(place).tolist(), radius] for name, place, radius in landmarks(model)]}
+    own: Entries = {"marks": [[name, at(place).tolist(), radius] for name, place, radius in landmarks(model)]}
     if unlike(model):
         own["unlike"] = [axis_words(name, model.system) for name in model.state_names[:2]]
     if not spatial(model):

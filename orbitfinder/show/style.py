@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.scales import given_units, worded
-from orbitfinder.records.reading import Table, write_atomically
+from orbitfinder.records.reading import Entries, Table, write_atomically
 from orbitfinder.show.scene import BRUSHES, Scene, Strokes, extent, outlines, tip
 from orbitfinder.show.svg import COLOURS
 
@@ -186,7 +186,7 @@ def configuration(axes: Any, scene: Scene, width: float, still: bool, named: boo
         marked = {"marker": "o" if named and right.size <= 12 else None, "markersize": 4.5}
         axes.plot(right, -down, color="black", linewidth=width, label="t = 0" if named else None, **marked)
         ends = [0, -1] if 0 <= tip(scene.points) < right.size - 1 else [0]  # of a linkage the last one is a pivot too
-        style: dict[str, Any] = {"color": "black", "markersize": 8 if named else 4, "linestyle": "none"}
+        style: Entries = {"color": "black", "markersize": 8 if named else 4, "linestyle": "none"}
         if still and (right.size > 1 or not named):  # a lone one is no pivot
             style["label"] = "fixed joint" if named else None
             axes.plot(right[ends], -down[ends], "s" if right.size > 1 else "o", **style)
@@ -226,7 +226,7 @@ def widen(axes: Any, wide: float, tall: float) -> None:
         axes.set_xlabel(f"to the right (m),\ndrawn {LEAST_SIDE * tall / wide:.3g} times as wide")
 
 
-def line_style(index: int, count: int) -> dict[str, Any]:
+def line_style(index: int, count: int) -> Entries:
     """Colour and dashes of curve `index` of `count`: distinct up to 28, a sequential map beyond."""
     if count > len(COLOURS) * len(DASHES):
         return {"color": colormaps["cividis"](index / (count - 1)), "linewidth": 0.7}

@@ -21,7 +21,7 @@ from orbitfinder.families.plane import ParameterMap
 from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import level
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 from orbitfinder.show.diagram import entitled
 from orbitfinder.show.facts import number, with_unit
 from orbitfinder.show.rest import rest_svg
@@ -188,7 +188,7 @@ def build_site(
         entries.append(SiteOrbit(file, motion, slug(file.document["name"])))
         tell(f"orbit {len(entries)} of {len(gathered.orbits)} drawn")
     links: list[Card] = []
-    motions: dict[str, Any] = {}
+    motions: Entries = {}
     families, curves, atlases = slug_maker(), slug_maker(), slug_maker()
     collected = [(atlas, atlases(atlas.name)) for atlas in gathered.atlases]
     named = [(family, families(family.name)) for family in gathered.families]
@@ -274,7 +274,7 @@ def _closest(here: tuple[float, float, float], points: Sequence[tuple[str, float
     return f"#{points[k + int(share[k] > 0.5)][0]}" if apart[k] < 0.003 else ""
 
 
-def _relatives(family: Family, named: Named) -> dict[str, Any]:
+def _relatives(family: Family, named: Named) -> Entries:
     """What this family branched from, and the families that branched from it, with addresses and words."""
     source = family.source
 
@@ -300,7 +300,7 @@ def _headed(what: str, record: Any) -> str:
 
 
 def _add_family(
-    site: Site, family: Family, slug: str, simulator: Simulator, motions: dict[str, Any],
+    site: Site, family: Family, slug: str, simulator: Simulator, motions: Entries,
     known: tuple[Named, Sequence[SiteOrbit], Sequence[tuple[AtlasFile, str]]],
 ) -> Card:  # fmt: skip
     data, path, words = family_data(family, simulator), f"families/{slug}.html", mechanism(family.system)
@@ -346,7 +346,7 @@ def _add_equilibria(
     return Card("Equilibria", path, rest.name, words, f"{rest.parameter}: {note}", "", picture=svg)
 
 
-def _add_section(site: Site, section: Section, slug: str, gathered: Gathered, motions: dict[str, Any]) -> Card:
+def _add_section(site: Site, section: Section, slug: str, gathered: Gathered, motions: Entries) -> Card:
     """The page of a Poincare section; returns its link."""
     data, path, words = section_data(section, gathered), f"sections/{slug}.html", mechanism(section.system)
     values = section_values(section, data) | {"title": _headed("section", section)}
@@ -365,7 +365,7 @@ def _add_map(site: Site, plane: ParameterMap, slug: str, gathered: Gathered) -> 
                 picture=f'<img src="maps/{slug}.png" alt="">')  # fmt: skip
 
 
-def _cover(key: str, data: Table, motions: dict[str, Any]) -> str:
+def _cover(key: str, data: Table, motions: Entries) -> str:
     """The key under which the gallery finds the motion that stands for a family or an atlas."""
     moving = [item["motion"] for item in data["items"] if item["motion"]]
     if moving:
@@ -375,7 +375,7 @@ def _cover(key: str, data: Table, motions: dict[str, Any]) -> str:
 
 def _add_atlas(
     site: Site, atlas: AtlasFile, simulator: Simulator, slugs: tuple[str, Callable[[str], str]],
-    motions: dict[str, Any], links: Sequence[Card],
+    motions: Entries, links: Sequence[Card],
 ) -> tuple[Card, list[SiteOrbit]]:  # fmt: skip
     """The page of an atlas; returns its link and the orbits that get a card and a page of their own. Its orbits lead to
     the families among the `links` that pass them."""
@@ -408,7 +408,7 @@ def _add_atlas(
     return Card("Atlas", path, atlas.name, words, note, cover, systems.pop() if len(systems) == 1 else ""), shown
 
 
-def _add_gallery(site: Site, entries: Sequence[SiteOrbit], links: Sequence[Card], motions: dict[str, Any]) -> None:
+def _add_gallery(site: Site, entries: Sequence[SiteOrbit], links: Sequence[Card], motions: Entries) -> None:
     motions = motions | {entry.slug: packed(entry.motion) for entry in entries if entry.motion}
     verdicts = [entry.verdict.certified for entry in entries]
     named = {True: "certified when this page was made", False: "rejected", None: "not checked here"}

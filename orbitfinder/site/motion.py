@@ -26,7 +26,7 @@ from orbitfinder.orbits.certify import shown
 from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_to_document
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 from orbitfinder.show.scene import (
     BRUSHES,
     Scene,
@@ -456,7 +456,7 @@ def base64_of(numbers: np.ndarray, kind: str = "<f4") -> str:
     return base64.b64encode(numbers.astype(kind).tobytes()).decode()
 
 
-def packed(scene: Scene) -> dict[str, Any]:
+def packed(scene: Scene) -> Entries:
     """Channels for the page: int16 little-endian in base64, channel by channel; still channels as numbers.
 
     Of m points channel c is x of point c for c < m, y of point c - m below 2 m, in space z below 3 m, and then the
@@ -483,7 +483,7 @@ def packed(scene: Scene) -> dict[str, Any]:
         [point, parent, *(_short(x) for x in (length, middles[first + point], turns[first + point]))]
         for point, (parent, length) in about.items()
     ]
-    more: dict[str, Any] = {"jumps": _jumps(scene.cuts)} if scene.cuts else {}
+    more: Entries = {"jumps": _jumps(scene.cuts)} if scene.cuts else {}
     if not scene.loops:
         more = {"jumps": _jumps((*scene.cuts, len(scene.points)))}
     if scene.ground is not None:
@@ -518,7 +518,7 @@ def _jumps(cuts: Sequence[int]) -> list[int]:
     return sorted({cut - 1 for cut in cuts})
 
 
-def histories(motion: Filmed) -> dict[str, Any]:
+def histories(motion: Filmed) -> Entries:
     """States at equal times, end included, as little-endian float32 in base64, component by component.
 
     As many samples as the page's curves through them need to be good to 0.4 % of the extent, at most 960. Of a

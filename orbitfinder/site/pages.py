@@ -22,7 +22,7 @@ from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.certificate import Check
 from orbitfinder.records.family import BECOMES, Event, Family, FamilyPoint
 from orbitfinder.records.orbit import level, recorded_proof
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 from orbitfinder.show.diagram import LOOKS, changes, mark_of, verdicts
 from orbitfinder.show.facts import facts, largest, number, with_unit
 from orbitfinder.show.scene import evenly
@@ -102,7 +102,7 @@ class SiteOrbit:
         return largest(self.file.orbit)
 
 
-def orbit_values(entry: SiteOrbit) -> dict[str, Any]:
+def orbit_values(entry: SiteOrbit) -> Entries:
     """What the template of an orbit page is filled with."""
     document, motion, name = entry.document, entry.motion, orbit_name(entry.document)
     problem = orbit_text(document)
@@ -175,7 +175,7 @@ def _multipliers(document: Table) -> list[tuple[float, float, float, float]]:
     return [(re, im, abs(complex(re, im)), float(np.degrees(np.angle(complex(re, im))))) for re, im in pairs]
 
 
-def _check(check: Check) -> dict[str, Any]:
+def _check(check: Check) -> Entries:
     """A check for reading: its name, what was found and asked, whether it passed, and its note."""
     sense = check.sense
     return {
@@ -187,10 +187,10 @@ def _check(check: Check) -> dict[str, Any]:
     }
 
 
-def orbit_data(entry: SiteOrbit) -> dict[str, Any]:
+def orbit_data(entry: SiteOrbit) -> Entries:
     """What the orbit page's script works with."""
     document, motion = entry.document, entry.motion
-    data: dict[str, Any] = {
+    data: Entries = {
         "name": orbit_name(document),
         "title": entry.title,
         "period": float(document["period"]),
@@ -245,7 +245,7 @@ def before(family: Family, event: Event) -> FamilyPoint:
     return replace(point, stability=family.beside(event)[0] or point.stability)
 
 
-def family_items(family: Family, simulator: Simulator, reach: Sequence[float]) -> list[dict[str, Any]]:
+def family_items(family: Family, simulator: Simulator, reach: Sequence[float]) -> list[Entries]:
     """What can be picked, in order along the family; `reach` are the amplitudes of its members, where known."""
     items, file, ways = [], f"families/{family.name}/family.json", left_at(family)
     for at in pickable(family):
@@ -259,7 +259,7 @@ def family_items(family: Family, simulator: Simulator, reach: Sequence[float]) -
     return _said(family, items)
 
 
-def _said(family: Family, items: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _said(family: Family, items: list[Entries]) -> list[Entries]:
     """The items with what the picture `says` of each in a sentence: what happens at an event, of what stretch an orbit
     is and where its period tends."""
     time, unit = units(family.system)["time"], unit_along(family.parameter, family.system)
@@ -299,7 +299,7 @@ def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
     return sorted({int(np.abs(length - place).argmin()) for place in wanted} | {0, len(points) - 1})
 
 
-def _item(member: FamilyPoint | Event, family: Family, simulator: Simulator) -> dict[str, Any]:
+def _item(member: FamilyPoint | Event, family: Family, simulator: Simulator) -> Entries:
     """A point or an event; what an event does not carry is that of the point before it."""
     motion, event = simulator.member(family.system, member), member if isinstance(member, Event) else None
     at, point = (member, True) if isinstance(member, FamilyPoint) else (before(family, member), False)
@@ -323,7 +323,7 @@ def _item(member: FamilyPoint | Event, family: Family, simulator: Simulator) -> 
     }
 
 
-def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
+def family_data(family: Family, simulator: Simulator) -> Entries:
     """What the family page's script works with."""
     names = ("energy", "period", "action", "closure", "value", "arclength")
     columns = {name: np.nan_to_num(family.values(name)).tolist() for name in names}
@@ -382,7 +382,7 @@ def span(values: Sequence[float], digits: int = 6) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def family_values(family: Family, items: Sequence[Table]) -> dict[str, Any]:
+def family_values(family: Family, items: Sequence[Table]) -> Entries:
     """What the template of a family page is filled with."""
     points, events, unit = family.points, family.events, units(family.system)
     periods, energetic = family.values("period").tolist(), _energetic(family)
@@ -422,7 +422,7 @@ def _useful(family: Family) -> list[str]:
     return [*order, "below", "arclength", "action"] if _energetic(family) else ["value", "arclength"]
 
 
-def atlas_data(name: str, entries: Sequence[SiteOrbit], linked: set[str], model: Model | None) -> dict[str, Any]:
+def atlas_data(name: str, entries: Sequence[SiteOrbit], linked: set[str], model: Model | None) -> Entries:
     """What the atlas page's script works with; `linked` orbits have a page of their own, `model` is that of all."""
     items = []
     for entry in entries:
@@ -454,7 +454,7 @@ def atlas_data(name: str, entries: Sequence[SiteOrbit], linked: set[str], model:
     }  # fmt: skip
 
 
-def atlas_values(entries: Sequence[SiteOrbit], atlas: AtlasFile) -> dict[str, Any]:
+def atlas_values(entries: Sequence[SiteOrbit], atlas: AtlasFile) -> Entries:
     """What the template of an atlas page is filled with."""
     energies, periods = ([level(entry.document[key]) for entry in entries] for key in ("energy", "period"))
     kinds = sorted({entry.mechanism for entry in entries})
@@ -470,7 +470,7 @@ def atlas_values(entries: Sequence[SiteOrbit], atlas: AtlasFile) -> dict[str, An
     return {"summary": summary} | choices(entries)
 
 
-def choices(entries: Sequence[SiteOrbit]) -> dict[str, Any]:
+def choices(entries: Sequence[SiteOrbit]) -> Entries:
     """The distinct values that a page's filters offer."""
     return {
         "mechanisms": sorted({entry.mechanism for entry in entries}),

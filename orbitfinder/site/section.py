@@ -12,6 +12,7 @@ import numpy as np
 from orbitfinder.errors import FAILURES, InputError, plural
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lasting, units
+from orbitfinder.records.reading import Entries
 from orbitfinder.show.facts import number
 from orbitfinder.show.scene import evenly
 from orbitfinder.show.svg import axis
@@ -23,7 +24,6 @@ from orbitfinder.structures.manifold import Connection, Manifold
 from orbitfinder.structures.section import Section
 from orbitfinder.structures.sections import Surface, check_plane, crossings, named_surface
 from orbitfinder.structures.tori import crossed
-from orbitfinder.structures.torus import Torus
 
 MOST_MOTIONS, MOST_POINTS = 150, 6000
 """Motions that can be picked, and points that are drawn of all of them"""
@@ -33,7 +33,7 @@ LEVEL = 1e-9
 """Energies nearer than this, relative, are one"""
 
 
-def section_values(section: Section, data: dict[str, Any]) -> dict[str, Any]:
+def section_values(section: Section, data: Entries) -> Entries:
     """What the template of a section page is filled with."""
     drawn = sum(len(item["x"]) for item in data["items"])
     level = f", energy {number(section.energy, 10)}" if np.isfinite(section.energy) else ""
@@ -51,7 +51,7 @@ def section_values(section: Section, data: dict[str, Any]) -> dict[str, Any]:
             "laid": [*chain.from_iterable(laid.values()), *words]}  # fmt: skip
 
 
-def section_data(section: Section, gathered: Gathered) -> dict[str, Any]:
+def section_data(section: Section, gathered: Gathered) -> Entries:
     """What the script of a section page works with: `items` to pick (motions and orbits), `curves` beside them."""
     try:
         model: Model | None = gathered.model(section.system)
@@ -78,7 +78,7 @@ def _belongs(record: Any, section: Section) -> bool:
     return dict(record.system) == dict(section.system) and near
 
 
-def _motions(section: Section, model: Model | None) -> list[dict[str, Any]]:
+def _motions(section: Section, model: Model | None) -> list[Entries]:
     """The motions of a section with their points (the first of each) chosen where there are many."""
     chosen = evenly(len(section.starts), MOST_MOTIONS)
     most = max(1, MOST_POINTS // len(chosen))
@@ -95,7 +95,7 @@ def _motions(section: Section, model: Model | None) -> list[dict[str, Any]]:
     return items
 
 
-def _item(kind: str, key: str, name: str, points: np.ndarray, motion: Any, facts: list[list[str]]) -> dict[str, Any]:
+def _item(kind: str, key: str, name: str, points: np.ndarray, motion: Any, facts: list[list[str]]) -> Entries:
     """What can be picked: its points in the section, its motion, and the address `key` under which it is found."""
     across, up = _short(points[:, 0]), _short(points[:, 1])
     return {"kind": kind, "key": key, "name": name, "x": across, "y": up, "motion": motion, "facts": facts}
@@ -103,7 +103,7 @@ def _item(kind: str, key: str, name: str, points: np.ndarray, motion: Any, facts
 
 def _paths(
     section: Section, model: Model | None, starts: np.ndarray, span: float
-) -> list[dict[str, Any] | None]:  # fmt: skip
+) -> list[Entries | None]:  # fmt: skip
     """Motions from states (k x d) over a time (s) for the page, None of what cannot be integrated."""
     if model is None or not model.smooth:
         return [None] * len(starts)
@@ -112,7 +112,7 @@ def _paths(
             for path in motions.sampled(starts, span / SAMPLES, SAMPLES)]  # fmt: skip  # what jumps back at its end
 
 
-def _orbits(section: Section, model: Model, gathered: Gathered) -> list[dict[str, Any]]:
+def _orbits(section: Section, model: Model, gathered: Gathered) -> list[Entries]:
     """The orbits of the section's system and energy, as items: their crossings and their motion."""
     items = []
     for orbit in (file.orbit for file in gathered.orbits):
@@ -132,10 +132,11 @@ def _orbits(section: Section, model: Model, gathered: Gathered) -> list[dict[str
     return items
 
 
-def _laid(record: Manifold | Connection | Any, section: Section, surface: Surface) -> list[dict[str, Any]]:
+def _laid(record: Manifold | Connection | Any, section: Section, surface: Surface) -> list[Entries]:
     """Manifolds, connections and tori as curves and points; `InputError` for those of another plane."""
     if hasattr(record, "tori"):
-        level = [torus for torus in record.tori if _same_level(torus, section)]
+        level = [torus for torus in record.tori if not np.isfinite([torus.energy, section.energy]).all()
+                 or abs(torus.energy - section.energy) <= LEVEL * abs(section.energy)]  # fmt: skip
         return [_curve("torus", f"torus {number(torus.rotation, 6)}", surface.chart(crossed(torus, surface)))
                 for torus in level]  # fmt: skip
     check_plane(record, section)
@@ -146,13 +147,7 @@ def _laid(record: Manifold | Connection | Any, section: Section, surface: Surfac
     return [_curve(record.which, f"{record.name}, {record.which} manifold", pieces)]
 
 
-def _same_level(torus: Torus, section: Section) -> bool:
-    if not (np.isfinite(torus.energy) and np.isfinite(section.energy)):
-        return True
-    return abs(torus.energy - section.energy) <= LEVEL * abs(section.energy)
-
-
-def _curve(kind: str, name: str, points: np.ndarray) -> dict[str, Any]:
+def _curve(kind: str, name: str, points: np.ndarray) -> Entries:
     return {"kind": kind, "name": name, "x": _short(points[:, 0]), "y": _short(points[:, 1])}
 
 

@@ -53,7 +53,10 @@ def write_site(files: Mapping[str, bytes], out: Path) -> None:
         with locks.held(out.parent / f".{out.name}.lock", PATIENCE) as alone:
             if not alone:
                 raise InputError(f"out: another process is writing {out}; wait for it, or name another folder")
-            _swept(out)
+            for left in out.parent.glob(f".{out.name}.????????"):  # of killed processes: nobody else writes there now
+                ours = left.is_dir() and not left.is_symlink()
+                if ours and {inner.name for inner in left.iterdir()} <= {"new", "old"}:
+                    _cleared(left, out)
             with _beside(out) as temporary:
                 _put(files, temporary / "new", out)
                 if out.exists():
@@ -71,13 +74,6 @@ def _beside(out: Path) -> Iterator[Path]:
         yield temporary
     finally:
         _cleared(temporary, out)
-
-
-def _swept(out: Path) -> None:
-    """Remove what killed processes left beside the target: nobody else writes there now."""
-    for left in out.parent.glob(f".{out.name}.????????"):
-        if left.is_dir() and not left.is_symlink() and {inner.name for inner in left.iterdir()} <= {"new", "old"}:
-            _cleared(left, out)
 
 
 def _cleared(temporary: Path, out: Path) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from orbitfinder.mechanics.kind import system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms.pose import movable
+from orbitfinder.records.reading import Entries
 from orbitfinder.show.scene import box, places
 from orbitfinder.site.motion import packed, recorded
 
@@ -16,7 +15,7 @@ ROOM = 1.15
 """How much larger than what is in it the stage is"""
 
 
-def film(model: Model, times: np.ndarray, states: np.ndarray) -> dict[str, Any]:
+def film(model: Model, times: np.ndarray, states: np.ndarray) -> Entries:
     """A simulated motion (k times, k x d states) that begins anew at its end; 40 samples a second."""
     duration = float(times[-1] - times[0])
     count = int(np.clip(duration * 40, 2, min(2400, max(2, len(times) - 1))))
@@ -24,7 +23,7 @@ def film(model: Model, times: np.ndarray, states: np.ndarray) -> dict[str, Any]:
     return packed(recorded(model, chosen, duration))
 
 
-def pose(model: Model, state: np.ndarray) -> dict[str, Any]:
+def pose(model: Model, state: np.ndarray) -> Entries:
     """A motion that stands still at a state."""
     return film(model, np.array([0.0, 1.0]), np.array([state, state]))
 
@@ -42,7 +41,7 @@ def view(model: Model, states: np.ndarray) -> dict[str, list[float]]:
     return {"centre": ((low + high) / 2).tolist(), "spans": (ROOM * size).tolist()}
 
 
-def around(shown: dict[str, Any]) -> dict[str, list[float]]:
+def around(shown: Entries) -> dict[str, list[float]]:
     """The part of the plane that a film fills."""
     size = np.maximum(shown["spans"], 0.3 * max(*shown["spans"], 1e-9))
     return {"centre": shown["centre"], "spans": (ROOM * size).tolist()}

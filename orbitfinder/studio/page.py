@@ -23,6 +23,7 @@ from orbitfinder.mechanics.scales import lasting, measured
 from orbitfinder.orbits.guesses.returns import CloseReturn
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.reading import Entries
 from orbitfinder.show.facts import told
 from orbitfinder.show.html import certificate_html
 from orbitfinder.show.scene import solids_of
@@ -65,7 +66,7 @@ class Page(Desk):
         self.item: Item | None = None
         self.points: list[FamilyPoint] = []
         self.films: dict[bytes, Film | None] = {}
-        self.wanted: dict[str, Any] = {}
+        self.wanted: Entries = {}
         self.inputs: list[Any] = []
         self.grip: Grip | None = None
         self.timer: Any = None
@@ -355,7 +356,7 @@ class Page(Desk):
             self.shown = True
             ui.run_javascript(f"stage.show({json.dumps(film)}, {json.dumps(window)}, {_js(keep)})")
 
-    def _near(self) -> dict[str, Any]:
+    def _near(self) -> Entries:
         return plots.returns_figure(self.returns, self.picked, self.session.model.system, self.dark)
 
     async def _return_clicked(self, event: Any) -> None:
@@ -485,7 +486,7 @@ class Page(Desk):
             self.stale = False
             self.plot.update_figure(self._figure())
 
-    def _figure(self, here: FamilyPoint | None = None) -> dict[str, Any]:
+    def _figure(self, here: FamilyPoint | None = None) -> Entries:
         family = self.item.family if self.item is not None else None
         known = [item.family for item in self.session.items.values() if item.family is not None]
         others = [other for other in known if other.name != self.growing and other.parameter == self.parameter]

@@ -13,7 +13,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.scales import lasting, unit_along, units
 from orbitfinder.orbits.guesses.returns import CloseReturn
 from orbitfinder.records.family import Event, Family, FamilyPoint
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 from orbitfinder.show.diagram import mark_of
 from orbitfinder.show.svg import ranged
 from orbitfinder.site.text import coordinate
@@ -32,7 +32,7 @@ POINTS, EVENTS, HERE = 0, 1, 2
 def _figure(
     data: list[Trace], across: str, up: str, dark: bool, log: bool = False, key: Table | None = None,
     nothing: str = "",
-) -> dict[str, Any]:  # fmt: skip
+) -> Entries:  # fmt: skip
     """A plot, under a legend of a `key` (names: colour, symbol), or `nothing` in words where there is none yet."""
     for trace in data:
         trace["showlegend"] = False
@@ -48,7 +48,7 @@ def _figure(
                 trace[part]["color"] = swapped
     axis = {"gridcolor": line, "zerolinecolor": line, "linecolor": line, "automargin": True}
     upward = {"type": "log", "exponentformat": "power", "nticks": 6} if log else {}
-    layout: dict[str, Any] = {
+    layout: Entries = {
         "height": 274 if key else 250, "margin": {"l": 60, "r": 12, "t": 34 if key else 10, "b": 48},
         "showlegend": bool(key), "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "hovermode": "closest",
         "paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)", "font": {"color": ink, "size": 13},
@@ -87,7 +87,7 @@ def _rings(x: Sequence[float], y: Sequence[float], size: int) -> Trace:
     return _dots(x, y, marker=marker)
 
 
-def returns_figure(returns: Sequence[CloseReturn], picked: int | None, system: Table, dark: bool) -> dict[str, Any]:
+def returns_figure(returns: Sequence[CloseReturn], picked: int | None, system: Table, dark: bool) -> Entries:
     """Period against miss; the more promising, the larger the dot."""
     sizes = [22 if k == 0 else max(9, 18 - 2 * k) for k in range(len(returns))]
     colours = [MARK if k == picked else STABLE for k in range(len(returns))]
@@ -107,7 +107,7 @@ def returns_figure(returns: Sequence[CloseReturn], picked: int | None, system: T
 def family_figure(
     points: Sequence[FamilyPoint], events: Sequence[Event], here: FamilyPoint | None, others: Sequence[Family],
     parameter: str, system: Table, dark: bool,
-) -> dict[str, Any]:  # fmt: skip
+) -> Entries:  # fmt: skip
     """The chosen family by stability, its events by their kind, where it is, and the others in grey; a legend."""
     looks = [LOOKS.get(point.stability.replace("marginal", "undecided"), LOOKS["stable"]) for point in points]
     key = {name: look for name, look in LOOKS.items() if look in looks}
@@ -132,7 +132,7 @@ def family_figure(
     return _figure(data, across, up, dark, key=key, nothing="Follow an orbit, and its family appears here.")
 
 
-def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:
+def section_figure(cut: Cut | None, dark: bool) -> Entries:
     """A Poincare section: motions in colours, chaotic ones grey crosses, the orbit as rings."""
     if cut is None:
         return _figure([_dots([], [])], "", "", dark, nothing="The section appears here.")
@@ -153,7 +153,7 @@ def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:
 
 def portrait_figure(
     settled: Settled | None, names: Sequence[str], plane: list[int], box: np.ndarray, dark: bool
-) -> dict[str, Any]:
+) -> Entries:
     """What a motion has come to, and the equilibrium, full where stable, else open; `box`: what is seen (2 x 2)."""
     data, rest = [_dots([], [], mode="lines", line={"color": UNSTABLE, "width": 2.4}), _dots([], [])], None
     if settled is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import secrets
@@ -41,19 +42,6 @@ def free_port(wanted: int | None = None) -> int:
             f"port: {wanted} is in use, perhaps by a studio that runs already; leave it out and a free one is taken"
         )
     raise InputError(f"port: {PORT} to {PORT + TRIED - 1} are all in use; give another one")
-
-
-def _listens(port: int) -> bool:
-    """Whether the server answers, after waiting for it."""
-    until = time.monotonic() + 120.0  # s, however busy the computer is
-    while time.monotonic() < until:
-        try:
-            socket.create_connection((HOST, port), 1.0).close()
-        except OSError:
-            time.sleep(0.02)
-        else:
-            return True
-    return False
 
 
 class OwnOrigin:
@@ -132,10 +120,17 @@ def serve(file: Path | None, out: Path, port: int | None, browser: bool, announc
         address = f"http://{HOST}:{chosen}/{token}"
 
         def ready() -> None:
-            if _listens(chosen):
-                announce(address)
-                if browser:
-                    webbrowser.open(redirect(Path(folder), address).as_uri())
+            until = time.monotonic() + 120.0  # s, however busy the computer is
+            while time.monotonic() < until:
+                with contextlib.suppress(OSError):
+                    socket.create_connection((HOST, chosen), 1.0).close()
+                    break
+                time.sleep(0.02)
+            else:
+                return
+            announce(address)
+            if browser:
+                webbrowser.open(redirect(Path(folder), address).as_uri())
 
         app.on_startup(lambda: threading.Thread(target=ready, daemon=True).start())
         ui.run(

@@ -35,7 +35,7 @@ from orbitfinder.problemfile.write import entries, orbit_text, toml
 from orbitfinder.records.family import JOURNAL, Family, load_family, read_journal, save_family
 from orbitfinder.records.family import assemble as assembled
 from orbitfinder.records.orbit import Orbit, orbit_to_document
-from orbitfinder.records.reading import file_bytes, json_file, read_as, write_atomically, write_json
+from orbitfinder.records.reading import Entries, file_bytes, json_file, read_as, write_atomically, write_json
 from orbitfinder.records.registry import kind_of, load_orbit, member, taken
 from orbitfinder.site.text import mechanism
 
@@ -100,7 +100,7 @@ def _recorded(file: Path) -> Opened:
     else:
         orbit = load_orbit(file if field == "orbit" else f"{file}#{_rows(file)[0].id}")
         name = orbit.name if field == "orbit" else file.stem
-    place: dict[str, Any] = {field: file}
+    place: Entries = {field: file}
     return Opened(build_model(orbit.system), orbit.state, SWINGS * orbit.period, name, **place)
 
 
@@ -379,7 +379,7 @@ class Session:
         """The command lines that find everything again, in a folder of their own."""
         return [shlex.join(("orbitfinder", *item.command)) for item in self.items.values() if item.command]
 
-    def tree(self, parent: str | None = None) -> list[dict[str, Any]]:
+    def tree(self, parent: str | None = None) -> list[Entries]:
         """Orbits, the families through them, the families that leave these: nodes for a tree, below a parent."""
         return [
             {"id": item.name, "label": _label(item), "children": self.tree(item.name)}

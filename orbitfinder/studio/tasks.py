@@ -36,7 +36,7 @@ from orbitfinder.orbits.simulate import SAMPLES_PER_SECOND, simulate
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import Batch, Event, Family, FamilyPoint, read_journal
 from orbitfinder.records.orbit import Orbit, save_orbit, system_at
-from orbitfinder.records.reading import Table
+from orbitfinder.records.reading import Entries, Table
 from orbitfinder.records.registry import load_orbit
 from orbitfinder.site.motion import Simulator, jumping, packed
 from orbitfinder.structures.section import Section
@@ -318,7 +318,7 @@ class Tasks:
 
     def _stepped(self, folder: Path) -> Callable[[Batch], None]:
         """A report of each step of the family in a folder."""
-        system: dict[str, Any] = {}
+        system: Entries = {}
 
         def report(batch: Batch) -> None:
             if not system and (journal := read_journal(folder)) is not None:

@@ -16,7 +16,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.scales import lasting, measured, units
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.records.reading import finite
+from orbitfinder.records.reading import Entries, finite
 from orbitfinder.show import html
 from orbitfinder.show.diagram import diagram_of
 from orbitfinder.show.facts import numbers
@@ -100,7 +100,7 @@ def _members(family: Family) -> list[Orbit | Event]:
     return [family.members[at] for at in pickable(family)]
 
 
-def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any]:
+def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> Entries:
     """What the script works with: the items with their motions, pictures and texts, and what they share."""
     simulator, family = Simulator(), value if isinstance(value, Family) else None
     motions = [
@@ -112,7 +112,7 @@ def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any
         | {"period": member.period, "motion": packed(motion) if motion else None, "portrait": portrait}
         for member, motion, portrait in zip(members, motions, _portraits(simulator, value.system, motions), strict=True)
     ]
-    shown: dict[str, Any] = {
+    shown: Entries = {
         "items": items,
         "solids": simulator.solids,
         "title": "",
@@ -147,7 +147,7 @@ def _portraits(simulator: Simulator, system: Any, motions: list[Filmed | None]) 
     return [portrait.svg(around) if portrait else "" for portrait in drawn]
 
 
-def _texts(family: Family | None, member: Orbit | Event) -> dict[str, Any]:
+def _texts(family: Family | None, member: Orbit | Event) -> Entries:
     """The numbers of an orbit in words, its multipliers beside the unit circle, and what it is called on the slider."""
     if isinstance(member, Orbit):
         rows, label = numbers(member), ""
