@@ -181,7 +181,15 @@ def _squeezed(text: object) -> str:
 def _prepared(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
     """The connection with the file brought to this version, one transaction a version."""
     _version(path, connection)
-    _log_ahead(connection)
+    until = time.monotonic() + PATIENCE
+    while True:  # write-ahead logging; SQLite does not wait for others by itself when it switches to it
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            break
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or time.monotonic() > until:
+                raise
+            time.sleep(0.02)
     # a transaction survives the death of the process; after a power cut the last ones may be missing, none is
     # half there, and a resumed search computes the same again
     connection.execute("PRAGMA synchronous = NORMAL")
@@ -210,19 +218,6 @@ def _schema(version: int) -> frozenset[str]:
         _migrate(connection, 0, version)
         question = "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL"
         return frozenset(_squeezed(text) for (text,) in connection.execute(question))
-
-
-def _log_ahead(connection: sqlite3.Connection) -> None:
-    """Write-ahead logging; SQLite does not wait for others by itself when it switches to it."""
-    until = time.monotonic() + PATIENCE
-    while True:
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-            return
-        except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or time.monotonic() > until:
-                raise
-            time.sleep(0.02)
 
 
 @contextlib.contextmanager

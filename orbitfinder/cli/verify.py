@@ -193,16 +193,15 @@ def prove(
       orbitfinder prove connections/oterma-l2/connection-1.json
     """
     spread = {"shard": shard, "scheduler": scheduler, "workers": None if workers == 1 else workers}
-    resting = [file for file in files if file.is_file() and kind_of(file) == "equilibria"]
-    if resting:
-        _prove_rest(files, resting, record, trust, given | spread | {"from": low, "to": high, "event": number})
+    known = {kind_of(file) if file.is_file() else "" for file in files}
+    if "equilibria" in known:
+        _prove_rest(files, known, record, trust, given | spread | {"from": low, "to": high, "event": number})
         return
     if low is not None or high is not None:
         _prove_branch(files, low, high, record, trust, given | spread)
         return
-    joined = [file for file in files if file.is_file() and kind_of(file) == "connection"]
-    if joined:
-        _prove_connections(files, joined, record, trust, given | spread | {"event": number})
+    if "connection" in known:
+        _prove_connections(files, known, record, trust, given | spread | {"event": number})
         return
     from orbitfinder.atlas.shard import WHOLE, shard_from
     from orbitfinder.proof.record import checked
@@ -339,17 +338,17 @@ def _keep_wider(file: Path, low: float, high: float) -> None:
                          "give a wider range, --no-record, or move that file")  # fmt: skip
 
 
-def _prove_rest(files: tuple[Path, ...], resting: list[Path], record: bool, trust: bool, given: Entries) -> None:
+def _prove_rest(files: tuple[Path, ...], known: set[str], record: bool, trust: bool, given: Entries) -> None:
     """`prove EQUILIBRIA.json ...`."""
     from orbitfinder.families.equilibrium import load_equilibria
     from orbitfinder.proof.equilibria import CODEC, prove_equilibria
     from orbitfinder.proof.theorem import provable_system
 
     _refuse(given, "is for orbits and families; equilibria are proved whole")
-    if len(resting) < len(files):
+    if len(known) > 1:
         raise InputError("FILE: equilibria and others together; prove them by a command each")
     results = []
-    for file in resting:
+    for file in files:
         equilibria = load_equilibria(file)
         if record:
             check_writable(file.parent, "--record")
@@ -362,7 +361,7 @@ def _prove_rest(files: tuple[Path, ...], resting: list[Path], record: bool, trus
     _finish(results)
 
 
-def _prove_connections(files: tuple[Path, ...], joined: list[Path], record: bool, trust: bool, given: Entries) -> None:
+def _prove_connections(files: tuple[Path, ...], known: set[str], record: bool, trust: bool, given: Entries) -> None:
     """`prove CONNECTION.json ...`."""
     from orbitfinder.proof.connections import CODEC, prove_connection
     from orbitfinder.proof.record import checked
@@ -370,10 +369,10 @@ def _prove_connections(files: tuple[Path, ...], joined: list[Path], record: bool
 
     chosen = {name: given.pop(name) for name in ("order", "bits", "tolerance")}
     _refuse(given, "is for orbits and families")
-    if len(joined) < len(files):
+    if len(known) > 1:
         raise InputError("FILE: connections and others together; prove them by a command each")
     options, results = checked(Options(**{k: v for k, v in chosen.items() if v is not None})), []
-    for file in joined:
+    for file in files:
         connection = load(file)
         if record:
             check_writable(file.parent, "--record")

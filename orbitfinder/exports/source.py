@@ -187,7 +187,7 @@ def operations() -> dict[int, str]:
 
 
 def straight_line(
-    function: ca.Function, language: Language, inputs: Sequence[str], outputs: Sequence[str], work: str = "w"
+    function: ca.Function, language: Language, inputs: Sequence[str], outputs: Sequence[str]
 ) -> tuple[list[str], int]:
     """Assignments that evaluate `function`, and the length of the work vector they use.
 
@@ -204,15 +204,15 @@ def straight_line(
     for step in range(scalar.n_instructions()):
         name, left = names[scalar.instruction_id(step)], scalar.instruction_output(step)
         used = scalar.instruction_input(step)
-        target = language.entry(work, left[0])
+        target = language.entry("w", left[0])
         if name == "INPUT":
             value = language.entry(inputs[used[0]], read[used[0]][used[1]])
         elif name == "OUTPUT":
-            target, value = language.entry(outputs[left[0]], written[left[0]][left[1]]), language.entry(work, used[0])
+            target, value = language.entry(outputs[left[0]], written[left[0]][left[1]]), language.entry("w", used[0])
         elif name == "CONST":
             value = language.number(scalar.instruction_constant(step))
         else:
-            value = operation(name, language).format(*(language.entry(work, place) for place in used))
+            value = operation(name, language).format(*(language.entry("w", place) for place in used))
         lines.append(f"{target} = {value}{language.end}")
     return lines, max(1, scalar.sz_w())
 

@@ -282,9 +282,14 @@ def hybrid(
     values = np.concatenate([first.parameter_values, np.full(count - 1, 1.0 / count)])
     begins = parts.first.model
     whole = altered(begins, parameter_names=names, parameter_values=values)
+    drawn = None
+    if ground is not None:
+        x, p = ca.SX.sym("x", len(first.state_names)), ca.SX.sym("p", len(first.parameter_names))
+        heights = ground(Named.of(first.state_names, x), Named.of(first.parameter_names, p))
+        drawn = ca.Function("ground", [x, p], [ca.densify(ca.SX(heights))])
     built = Hybrid(
         tuple(_mode(mode, whole) for mode in named), tuple(_transition(each, whole) for each in transitions), cycle,
-        (named, tuple(transitions), tuple(conserved)), None if ground is None else _drawn(ground, first),
+        (named, tuple(transitions), tuple(conserved)), drawn,
     )  # fmt: skip
     words = {key: told for key, told in first.system.items() if key == "units"}
     model = altered(
@@ -333,13 +338,6 @@ def section_of(model: Model, transition: Transition) -> ca.Function:
 def repeated(model: Model, times: int) -> Model:
     """The same system, the cycle of a hybrid one gone through so many times."""
     return model if model.smooth else with_cycle(model, model.cycle * times)
-
-
-def _drawn(ground: Expression, model: Model) -> ca.Function:
-    """The polyline of a ground as a function of (x, p)."""
-    x, p = ca.SX.sym("x", len(model.state_names)), ca.SX.sym("p", len(model.parameter_names))
-    heights = ground(Named.of(model.state_names, x), Named.of(model.parameter_names, p))
-    return ca.Function("ground", [x, p], [ca.densify(ca.SX(heights))])
 
 
 def _conserving(mode: Mode, names: Sequence[str]) -> Model:

@@ -328,24 +328,20 @@ def _description(tables: Table, gravity: Any, dimension: Any, redundant: Any) ->
     system: Entries = {"kind": "mechanism", "dimension": dimension, "gravity": fall}
     for name, table in tables.items():
         for key, entry in (table or {}).items():
-            _check_table(name, key, entry)
+            if not str(key).isidentifier() or key == GROUND:
+                raise InputError(f"{name}: {key!r} is no name; use letters, digits and _, and not {GROUND!r}")
+            known = KEYS[name]
+            if not isinstance(entry, Mapping):
+                raise InputError(f"{name}.{key}: must be a table of {', '.join(sorted(known))}, got {entry!r}")
+            for word in entry:
+                if word not in known:
+                    use = f"{closest(word, known)}; use {', '.join(sorted(known))}"
+                    raise InputError(f"{name}.{key}.{word}: unknown key{use}")
         if table:
             system[name] = {key: {k: _plain(v) for k, v in entries.items()} for key, entries in table.items()}
         elif name in ("bodies", "joints"):
             raise InputError(f"{name}: none given; a mechanism has at least one body and joint")
     return system
-
-
-def _check_table(name: str, key: str, given: Any) -> None:
-    if not str(key).isidentifier() or key == GROUND:
-        raise InputError(f"{name}: {key!r} is no name; use letters, digits and _, and not {GROUND!r}")
-    if not isinstance(given, Mapping):
-        raise InputError(f"{name}.{key}: must be a table of {', '.join(sorted(KEYS[name]))}, got {given!r}")
-    for entry in given:
-        if entry not in KEYS[name]:
-            raise InputError(
-                f"{name}.{key}.{entry}: unknown key{closest(entry, KEYS[name])}; use {', '.join(sorted(KEYS[name]))}"
-            )
 
 
 def _plain(value: Any) -> Any:

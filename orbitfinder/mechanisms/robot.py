@@ -155,12 +155,21 @@ def robot(
     if read is None:
         raise InputError(f"file: {path.name} is no robot; give a URDF (<robot ...>) or an MJCF file (<mujoco ...>)")
     made = _checked(read(path, data))
-    made = _afloat(made) if floating else made
+    if floating:  # its base on a free joint
+        if BASE in made.joints or WORLD in made.bodies:
+            raise InputError(f"floating: the file has a joint {BASE!r} or a link {WORLD!r} already; rename it")
+        joint = _Joint("free", WORLD, made.root, np.zeros(3), np.eye(3), np.eye(3)[0])
+        bodies, joints = {WORLD: _RigidBody(), **made.bodies}, {BASE: joint, **made.joints}
+        made = replace(made, bodies=bodies, joints=joints, root=WORLD)
     system, moving, solids = _tables(made, locked)
     system |= _acting(made, moving, stiffness, rest or {}, damping, motors)
     drawn: Entries = {"file": path.name, "sha256": hashlib.sha256(data).hexdigest()}
     drawn |= {"solids": shapes.described(solids)} if solids else {}
-    return mechanism(**system, dimension=3, gravity=_fall(made, gravity), drawn=drawn, values=values)
+    given = np.asarray(made.gravity if gravity is None else gravity, float)
+    fall = np.array([0.0, 0.0, -float(given)]) if given.ndim == 0 else given
+    if fall.shape != (3,) or not np.all(np.isfinite(fall)):
+        raise InputError(f"gravity: {gravity}; give m/s^2 along the file's -z, or three numbers (x, y, z)")
+    return mechanism(**system, dimension=3, gravity=_listed(DOWN @ fall), drawn=drawn, values=values)
 
 
 def _root(data: bytes) -> str:
@@ -534,15 +543,6 @@ def _tables(
     return system, moving, {name: (corners @ DOWN.T, faces) for name, (corners, faces) in seen.items()}
 
 
-def _fall(made: _Read, gravity: Sequence[float] | float | None) -> list[float]:
-    """Gravity (3) in our axes."""
-    given = np.asarray(made.gravity if gravity is None else gravity, float)
-    fall = np.array([0.0, 0.0, -float(given)]) if given.ndim == 0 else given
-    if fall.shape != (3,) or not np.all(np.isfinite(fall)):
-        raise InputError(f"gravity: {gravity}; give m/s^2 along the file's -z, or three numbers (x, y, z)")
-    return _listed(DOWN @ fall)
-
-
 def _following(made: _Read, still: Mapping[str, float]) -> dict[str, float]:
     """Where joints stay that mimic joints that do."""
     followed = {}
@@ -556,14 +556,6 @@ def _following(made: _Read, still: Mapping[str, float]) -> dict[str, float]:
         if first in still or not made.joints[first].free:
             followed[name] = ratio * still.get(first, 0.0) + offset
     return followed
-
-
-def _afloat(made: _Read) -> _Read:
-    """The same with its base on a free joint."""
-    if BASE in made.joints or WORLD in made.bodies:
-        raise InputError(f"floating: the file has a joint {BASE!r} or a link {WORLD!r} already; rename it")
-    joint = _Joint("free", WORLD, made.root, np.zeros(3), np.eye(3), np.eye(3)[0])
-    return replace(made, bodies={WORLD: _RigidBody(), **made.bodies}, joints={BASE: joint, **made.joints}, root=WORLD)
 
 
 def _acting(

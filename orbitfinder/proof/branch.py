@@ -72,7 +72,7 @@ from orbitfinder.proof.theorem import (
 )
 from orbitfinder.proof.trajectory import Trajectory, horizon, minimal_period, trajectory
 from orbitfinder.records.codec import Codec
-from orbitfinder.records.family import Family, FamilyPoint
+from orbitfinder.records.family import Family
 
 ROUGH = TaylorSettings(order=12, bits=80, tolerance=1e-14)
 """How the centres of a branch's boxes are found"""
@@ -412,7 +412,14 @@ def prove_branch(
         codes = programs(model)
         if codes.energy is None:
             raise InputError("system: it conserves no energy; a branch is proved over an interval of energies")
-        origin = _nearest(family, low, high)
+        energies = family.values("energy")
+        for name, value in (("from", low), ("to", high)):
+            if not energies.min() <= value <= energies.max():
+                there = f"{energies.min():.12g} to {energies.max():.12g}"
+                raise InputError(f"{name}: {value!r} J is not among the family's energies, {there}; give one of these")
+        if not low < high:
+            raise InputError(f"to: must be above from, got {low!r} to {high!r}")
+        origin = family.points[int(np.abs(energies - low).argmin())]  # the nearest to its lower end
         start = approach(model, origin, chosen_symmetry(origin, model, codes, symmetry), 1)
         equations = make_equations(model, codes, start, arb(origin.energy))
         inner = [event for event in family.events if low < event.energy < high and event.kind not in SAID]
@@ -494,18 +501,6 @@ def _concluded(
         return replace(about, proved=False, reason=why_not(error), wall_time=spent())
     kept = tuple(replace(shown.piece, contraction=shown.contraction) for shown in joined)
     return replace(about, proved=True, reason="", pieces=kept, passages=tuple(passed), wall_time=spent())
-
-
-def _nearest(family: Family, low: float, high: float) -> FamilyPoint:
-    """The point of a family from which the branch is found: the nearest to its lower end."""
-    energies = family.values("energy")
-    for name, value in (("from", low), ("to", high)):
-        if not energies.min() <= value <= energies.max():
-            there = f"{energies.min():.12g} to {energies.max():.12g}"
-            raise InputError(f"{name}: {value!r} J is not among the family's energies, {there}; give one of these")
-    if not low < high:
-        raise InputError(f"to: must be above from, got {low!r} to {high!r}")
-    return family.points[int(np.abs(energies - low).argmin())]
 
 
 RECORDS = Codec(Record, "branch-proof", "`orbitfinder prove`", AGAIN, version=2, sealed=True)

@@ -21,7 +21,7 @@ from orbitfinder._runtime.cluster import home
 from orbitfinder.errors import InputError, IntegrationError, shortened
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Versioned, arb, precision, why_not
-from orbitfinder.proof.theorem import STATEMENT, NotProved, Options, Progress, Proof, provable_model, proved_until
+from orbitfinder.proof.theorem import STATEMENT, NotProved, Options, Proof, provable_model, proved_until
 from orbitfinder.records.orbit import Orbit, read_document, recorded_proof
 from orbitfinder.records.reading import Entries, Table, read_as, write_json
 
@@ -169,9 +169,7 @@ def checked(options: Options) -> Options:
     return options
 
 
-def replay(
-    orbit: Orbit, recorded: Table, model: Model | None = None, progress: Progress | None = None
-) -> tuple[Proof, list[str]]:
+def replay(orbit: Orbit, recorded: Table, model: Model | None = None) -> tuple[Proof, list[str]]:
     """The proof done again with the recorded settings, and every recorded claim that it does not prove.
 
     A ball that is not inside the recorded one, as where that was written without a margin, is made smaller: it then is,
@@ -185,7 +183,7 @@ def replay(
         wrong = now if wrong is None else {name: said for name, said in now.items() if name in wrong}
         return not wrong or not wrong.keys() <= ENCLOSED
 
-    proof = proved_until(borne, orbit, model, options_of(recorded), progress)
+    proof = proved_until(borne, orbit, model, options_of(recorded), None)
     return proof, list((wrong or {}).values()) if proof.proved else [proof.reason]
 
 

@@ -38,7 +38,10 @@ def pendulum_figure() -> Any:
     figure = new_figure(4.6, 5.2, "Figure 1. Triple pendulum schematic")
     axes = figure.subplots()
     joints, centres = _pose(POSE)
-    _ground(axes, joints[:, 0])
+    across, up = joints[:, 0]
+    axes.plot(across + np.array([-0.25, 0.25]), [up] * 2, color="black", linewidth=2)  # the ground
+    for shift in np.linspace(-0.22, 0.22, 6):
+        axes.plot([across + shift, across + shift + 0.06], [up, up + 0.09], color="black", linewidth=1)
     axes.plot(*joints, color=COLOURS[0], linewidth=4, solid_capstyle="round")
     axes.plot(*joints[:, :-1], "o", color="white", markeredgecolor="black", markersize=9)
     axes.plot(*centres, "x", color=COLOURS[1], markersize=8, markeredgewidth=2)
@@ -117,12 +120,6 @@ def _angle(axes: Any, joint: np.ndarray, angle: float, index: int) -> None:
     axes.plot(joint[0] + 0.4 * np.sin(sweep), joint[1] - 0.4 * np.cos(sweep), color=GREY, linewidth=1.0)
     middle = joint + 0.54 * np.array([np.sin(angle / 2), -np.cos(angle / 2)])
     axes.annotate(rf"$\theta_{index}$", middle, ha="center", va="center", fontsize=10)
-
-
-def _ground(axes: Any, at: np.ndarray) -> None:
-    axes.plot(at[0] + np.array([-0.25, 0.25]), [at[1]] * 2, color="black", linewidth=2)
-    for shift in np.linspace(-0.22, 0.22, 6):
-        axes.plot([at[0] + shift, at[0] + shift + 0.06], [at[1], at[1] + 0.09], color="black", linewidth=1)
 
 
 def _clean(figure: Any, axes: Any) -> Any:

@@ -51,7 +51,13 @@ def map_figure(plane: ParameterMap, model: Model | None) -> Figure:
         axes.pcolormesh(*edges, numbers, cmap=ListedColormap(list(REGIONS.values())), vmin=-0.5, vmax=3.5, **style)
         shown |= {names[k]: Patch(color=REGIONS[names[k]]) for k in range(4) if (numbers == k).any()}
     else:
-        words, values = _numbers(plane, model)
+        values, time = plane.values(plane.by), units(plane.system)["time"]
+        words = f"period ({time})" if time else "period"
+        if plane.by == "amplitude":
+            words = f"amplitude of {axis(model, plane.moving) if model else plane.coordinates[plane.moving]}"
+        elif plane.by != "period":
+            words = "$\\log_{10}$ of the largest multiplier's modulus"
+            values = np.log10(np.maximum(values, LEAST))
         figure.colorbar(axes.pcolormesh(*edges, values, cmap="viridis", **style), ax=axes, label=words)
     if not plane.known.all():
         shown["no orbit"] = Patch(color=NOTHING)
@@ -73,16 +79,6 @@ def regions(plane: ParameterMap) -> np.ndarray:
     turned = np.abs(np.arctan2(imaginary, real))
     how = np.where(turned < REAL, 1.0, np.where(np.pi - turned < REAL, 2.0, 3.0))
     return np.where(plane.known, np.where(plane.stable, 0.0, how), np.nan)
-
-
-def _numbers(plane: ParameterMap, model: Model | None) -> tuple[str, np.ndarray]:
-    """What is coloured, in words with its unit, and the numbers (R x C)."""
-    values, time = plane.values(plane.by), units(plane.system)["time"]
-    if plane.by == "amplitude":
-        return f"amplitude of {axis(model, plane.moving) if model else plane.coordinates[plane.moving]}", values
-    if plane.by == "period":
-        return f"period ({time})" if time else "period", values
-    return "$\\log_{10}$ of the largest multiplier's modulus", np.log10(np.maximum(values, LEAST))
 
 
 def _named(plane: ParameterMap, k: int) -> str:

@@ -474,7 +474,7 @@ FAR = 4.0
 """Curves this many times as wide as their special points lie apart are drawn about those only"""
 
 
-def two_parameters(families: Sequence[Family | Equilibria], title: str | None = None) -> Figure:
+def two_parameters(families: Sequence[Family | Equilibria]) -> Figure:
     """Curves of bifurcations in the plane of their two parameters, with a mark at each point of codimension two.
 
     Curves of the same two parameters are drawn together, neutral saddles dotted; of those that go far off what is about
@@ -486,7 +486,7 @@ def two_parameters(families: Sequence[Family | Equilibria], title: str | None = 
             raise InputError(
                 f"{family.name}: varies {', '.join(family.parameters)}; give curves in {' and '.join(names)} alone"
             )
-    figure = new_figure(8.0, 5.6, title or f"{entitled(*families)}: bifurcations in two parameters")
+    figure = new_figure(8.0, 5.6, f"{entitled(*families)}: bifurcations in two parameters")
     axes, shown, labels = figure.subplots(), dict[str, Any](), list[tuple[str, float, float]]()
     for k, curve in enumerate(families):
         places, count = curve.places if curve.parameters == names else curve.places[:, ::-1], len(curve.points)

@@ -57,7 +57,11 @@ def draw_section(
         check_plane(record, first)
     model = model or build_model(first.system)
     level = f", energy {first.energy:.8g}" if np.isfinite(first.energy) else ""
-    plane = PLANE.sub(lambda name: greek(name[0]), _plane(first))
+    plane, told = first.plane, re.fullmatch(r"(\w+ = )([-+.\de]+)(, .*)", first.plane)
+    sizes = np.abs(first.states[np.isfinite(first.states)])
+    if told is not None and abs(float(told[2])) <= 1e-14 * sizes.max(initial=0.0):  # the round-off of the states
+        plane = f"{told[1]}0{told[3]}"
+    plane = PLANE.sub(lambda name: greek(name[0]), plane)
     figure = new_figure(7.2, 6.2, entitled(first), f"section {plane}{level}")
     axes = figure.subplots()
     across, up = (model.state_names.index(name) for name in first.axes)
@@ -80,14 +84,6 @@ def draw_section(
     dress(axes, axis(model, across), axis(model, up))
     legend(figure, axes, "lower center", ncols=3)
     return save_png(figure, Path(path))
-
-
-def _plane(record: Section | Manifold | Connection) -> str:
-    """The plane of a record in words, at 0 where its level is the round-off of the components of the states."""
-    told = re.fullmatch(r"(\w+ = )([-+.\de]+)(, .*)", record.plane)
-    sizes = np.abs(record.states[np.isfinite(record.states)])
-    off = told is not None and abs(float(told[2])) <= 1e-14 * sizes.max(initial=0.0)
-    return f"{told[1]}0{told[3]}" if told is not None and off else record.plane
 
 
 def _returns(axes: Any, section: Section) -> None:

@@ -258,9 +258,9 @@ def curves(lines: Sequence[tuple[str, np.ndarray]], across: str, up: str) -> str
     return picture("".join(drawn), f"{up} over {across}", WIDTH, HEIGHT)
 
 
-def unit_circle(multipliers: np.ndarray, label: str, size: int = 150) -> str:
+def unit_circle(multipliers: np.ndarray, label: str) -> str:
     """Multipliers in the plane beside the unit circle; those further out sit on the rim, hollow."""
-    reach = 1.6
+    reach, size = 1.6, 150
     inside = np.abs(multipliers) <= reach
     drawn = np.where(inside, multipliers, reach * multipliers / nonzero(np.abs(multipliers)))
     scale, half = (size / 2 - 8) / reach, size / 2

@@ -105,7 +105,10 @@ class SiteOrbit:
 def orbit_values(entry: SiteOrbit) -> Entries:
     """What the template of an orbit page is filled with."""
     document, motion, name = entry.document, entry.motion, orbit_name(entry.document)
-    problem = orbit_text(document)
+    problem, orbit = orbit_text(document), entry.file.orbit
+    told = facts(orbit, entry.conserved, motion.names if motion else ())  # the period with every digit
+    told |= {"period": with_unit(repr(orbit.period), entry.units["time"])}
+    pairs = sorted(document["floquet_multipliers"], key=lambda pair: (-abs(complex(*pair)), pair[1]))
     return {
         "entry": entry,
         "document": document,
@@ -114,8 +117,10 @@ def orbit_values(entry: SiteOrbit) -> Entries:
         "aspect": _aspect(motion),
         "shown": portraits(motion) if motion else [],
         "coordinates": len(motion.angles) - len(shown(motion)) + len(portraits(motion)) if motion else 0,
-        "facts": _facts(entry),
-        "multipliers": _multipliers(document),
+        "facts": [(name.capitalize(), text) for name, text in [*told.items()][:FACTS] if text],
+        "multipliers": [
+            (re, im, abs(complex(re, im)), float(np.degrees(np.angle(complex(re, im))))) for re, im in pairs
+        ],
         "proof": None if entry.verdict.certified is False else recorded_proof(document),  # of a rejected orbit nothing
         "name": name,
         "problem": problem,
@@ -139,21 +144,6 @@ def _aspect(motion: Filmed | None) -> float:
     return float(np.clip(right / down, 0.95, 2.4))
 
 
-def _facts(entry: SiteOrbit) -> list[tuple[str, str]]:
-    """Names and values of an orbit's numbers, its period with every digit."""
-    orbit, names = entry.file.orbit, entry.motion.names if entry.motion else ()
-    told = facts(orbit, entry.conserved, names) | {"period": with_unit(repr(orbit.period), entry.units["time"])}
-    return [(name.capitalize(), text) for name, text in [*told.items()][:FACTS] if text]
-
-
-def _axes(entry: SiteOrbit, motion: Filmed, n: int) -> list[str]:
-    """The unit of each coordinate that is shown, its own where it has one."""
-    words, length = entry.units, entry.units["length"] * (n < len(motion.names))
-    own = given_units(entry.document["system"])
-    named = zip(motion.names, motion.angles, strict=False)
-    return [own.get(name, words["angle"] if angle else length) for name, angle in named]
-
-
 def shown(motion: Filmed) -> list[int]:
     """The coordinates that are plotted: of a linkage its angles; evenly chosen where there are many."""
     n = len(motion.angles)
@@ -167,12 +157,6 @@ def portraits(motion: Filmed) -> list[int]:
     """Those of them that have a portrait: of a coordinate and its momentum the first."""
     partners, n = motion.partners, len(motion.angles)
     return [k for k in shown(motion) if partners[k] > k or partners[partners[k] % n] != k]
-
-
-def _multipliers(document: Table) -> list[tuple[float, float, float, float]]:
-    """Real and imaginary part, modulus and angle (degrees) of each multiplier, the largest first."""
-    pairs = sorted(document["floquet_multipliers"], key=lambda pair: (-abs(complex(*pair)), pair[1]))
-    return [(re, im, abs(complex(re, im)), float(np.degrees(np.angle(complex(re, im))))) for re, im in pairs]
 
 
 def _check(check: Check) -> Entries:
@@ -200,7 +184,8 @@ def orbit_data(entry: SiteOrbit) -> Entries:
         "motion": None,
     }
     if motion is not None:
-        n = len(motion.angles)
+        n, own = len(motion.angles), given_units(document["system"])
+        length, named = entry.units["length"] * (n < len(motion.names)), zip(motion.names, motion.angles, strict=False)
         data |= {
             "motion": packed(motion),
             "neighbour": packed(entry.neighbour) if entry.neighbour else None,
@@ -217,7 +202,7 @@ def orbit_data(entry: SiteOrbit) -> Entries:
             "coordinates": n,
             "partners": motion.partners,
             "labels": [coordinate(name) for name in motion.names[:n]],
-            "axes": _axes(entry, motion, n),
+            "axes": [own.get(name, entry.units["angle"] if angle else length) for name, angle in named],
             "shown": shown(motion),
             "portraits": portraits(motion),
         }
@@ -400,6 +385,10 @@ def family_values(family: Family, items: Sequence[Table]) -> Entries:
         f"{'Parameters' if family.parameters[1:] else 'Parameter'}: {', '.join(family.parameters)}. "
         "All as orbitfinder continue recorded it; not checked here."
     )
+    useful = ["value", "arclength"]  # what may be plotted across, the most telling first
+    if energetic:
+        order = ["value", "energy"] if not family.by_energy else ["energy", *([] if family.unit else ["value"])]
+        useful = [*order, "below", "arclength", "action"]
     return {
         "family": family,
         "items": items,
@@ -409,17 +398,11 @@ def family_values(family: Family, items: Sequence[Table]) -> Entries:
             name: f"{name}, {unit[kind]}" if unit[kind] else name
             for name, kind in (("energy", "energy"), ("period", "time"))
         },
-        "useful": _useful(family),
+        "useful": useful,
         "levels": [(name, name) for name in ("energy", "action") if energetic],
         "listed": "" if listed == len(events) else left_out,
         "summary": summary,
     }
-
-
-def _useful(family: Family) -> list[str]:
-    """What may be plotted across, the most telling first: the parameter where the energy hardly changes."""
-    order = ["value", "energy"] if not family.by_energy else ["energy", *([] if family.unit else ["value"])]
-    return [*order, "below", "arclength", "action"] if _energetic(family) else ["value", "arclength"]
 
 
 def atlas_data(name: str, entries: Sequence[SiteOrbit], linked: set[str], model: Model | None) -> Entries:

@@ -299,12 +299,12 @@ class Session:
         family = load_family(file) if orbit is None else None
         return self._kept(Item(self.opened.name, file, str(file), family=family, orbit=orbit, saved=True))
 
-    def keep_orbit(self, orbit: Orbit, parent: str | None = None) -> Item:
+    def keep_orbit(self, orbit: Orbit) -> Item:
         """Remember a certified orbit, found by the problem file of its name."""
         name, file = orbit.name, f"{orbit.name}/orbit.json"
         command = ("run", str(self.out / f"{name}.toml"), "--out", AGAIN)
         files = (f"{name}.toml", f"{name}/orbit.npz", file)
-        return self._kept(Item(name, self.folder / file, f"{AGAIN}/{file}", command, files, parent, orbit=orbit))
+        return self._kept(Item(name, self.folder / file, f"{AGAIN}/{file}", command, files, orbit=orbit))
 
     def keep_family(self, family: Family, parent: str, points: int, event: int | None = None, branch: int = 1) -> Item:
         """Remember a family through an orbit, or the `branch`-th that leaves another one at an event."""

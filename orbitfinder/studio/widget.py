@@ -57,7 +57,9 @@ class Stage(anywidget.AnyWidget):  # type: ignore[misc]
 
     def __init__(self, value: Orbit | Family) -> None:
         self.value = value
-        self.members: list[Orbit | Event] = [value] if isinstance(value, Orbit) else _members(value)
+        self.members: list[Orbit | Event] = (
+            [value] if isinstance(value, Orbit) else [value.members[at] for at in pickable(value)]
+        )
         super().__init__(shown=_shown(value, self.members))
 
     @traitlets.validate("index")  # type: ignore[untyped-decorator]
@@ -93,11 +95,6 @@ def stage(value: Orbit | Family) -> Stage:
     if isinstance(value, Family) and not value.points:
         raise InputError(f"family: {value.name} has no orbits to show; continue it first")
     return Stage(value)
-
-
-def _members(family: Family) -> list[Orbit | Event]:
-    """The points and events of a family that can be slid to, in order along it."""
-    return [family.members[at] for at in pickable(family)]
 
 
 def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> Entries:
