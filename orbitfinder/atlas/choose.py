@@ -123,7 +123,14 @@ def candidates(problem: Problem, starts: int, seed: int, progress: Callback | No
     began = time.perf_counter()
     shared = context_of(problem.model, Target(problem.pin[0].value, problem.bounds["period"]))
     known: list[Candidate] = []
-    _own(problem, known)
+    try:  # what the guess itself leads to, when that is an orbit and its period fits
+        own = find_orbit(replace(without_choice(problem), pin=problem.pin))
+    except FAILURES:
+        pass
+    else:
+        low, high = problem.bounds["period"]
+        if low <= own.period <= high and own.certificate is not None and own.certificate.passed:
+            _add(known, signature_of(own, problem.model), own)
     for first in range(0, starts, FIRST):
         jobs = [Job(index) for index in range(first, min(first + FIRST, starts))]
         for trial in attempts(shared, seed, jobs, [each.signature.numbers for each in known]):
@@ -133,17 +140,6 @@ def candidates(problem: Problem, starts: int, seed: int, progress: Callback | No
             best = min(known, key=lambda each: each.rank).orbit
             progress(Progress("choosing", jobs[-1].number + 1, best.closure, best.period, time.perf_counter() - began))
     return sorted(known, key=lambda each: each.rank)
-
-
-def _own(problem: Problem, known: list[Candidate]) -> None:
-    """Add the orbit that the guess itself leads to, when there is one and its period fits."""
-    try:
-        orbit = find_orbit(replace(without_choice(problem), pin=problem.pin))
-    except FAILURES:
-        return
-    low, high = problem.bounds["period"]
-    if low <= orbit.period <= high and orbit.certificate is not None and orbit.certificate.passed:
-        _add(known, signature_of(orbit, problem.model), orbit)
 
 
 def _add(known: list[Candidate], signature: Signature, orbit: Orbit | None) -> None:

@@ -46,7 +46,12 @@ def pendulum_figure() -> Any:
     axes.plot(*joints[:, :-1], "o", color="white", markeredgecolor="black", markersize=9)
     axes.plot(*centres, "x", color=COLOURS[1], markersize=8, markeredgewidth=2)
     for i in range(3):
-        _angle(axes, joints[:, i], POSE[i], i + 1)
+        (across, up), angle = joints[:, i], POSE[i]
+        axes.plot([across, across], [up, up - 0.55], color=GREY, linestyle=":", linewidth=1.0)
+        sweep = np.linspace(0.0, angle, 30)
+        axes.plot(across + 0.4 * np.sin(sweep), up - 0.4 * np.cos(sweep), color=GREY, linewidth=1.0)
+        middle = joints[:, i] + 0.54 * np.array([np.sin(angle / 2), -np.cos(angle / 2)])
+        axes.annotate(rf"$\theta_{i + 1}$", middle, ha="center", va="center", fontsize=10)
         axes.annotate(rf"$G_{i + 1}$", centres[:, i], xytext=(8, 5), textcoords="offset points")
         axes.annotate(rf"$O_{i + 1}$", joints[:, i], xytext=(-24, -14), textcoords="offset points")
     corner = np.array([-0.9, -0.4])
@@ -112,14 +117,6 @@ def _arrow(axes: Any, start: np.ndarray, step: np.ndarray, text: str, colour: st
     )
     length = float(np.linalg.norm(step))
     axes.annotate(text, start + step * (1 + 0.15 / length), color=colour, ha="center", va="center", fontsize=9)
-
-
-def _angle(axes: Any, joint: np.ndarray, angle: float, index: int) -> None:
-    axes.plot([joint[0], joint[0]], [joint[1], joint[1] - 0.55], color=GREY, linestyle=":", linewidth=1.0)
-    sweep = np.linspace(0.0, angle, 30)
-    axes.plot(joint[0] + 0.4 * np.sin(sweep), joint[1] - 0.4 * np.cos(sweep), color=GREY, linewidth=1.0)
-    middle = joint + 0.54 * np.array([np.sin(angle / 2), -np.cos(angle / 2)])
-    axes.annotate(rf"$\theta_{index}$", middle, ha="center", va="center", fontsize=10)
 
 
 def _clean(figure: Any, axes: Any) -> Any:

@@ -24,7 +24,6 @@ from orbitfinder.families.folder import follow_family
 from orbitfinder.families.members import whole
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.loops.conditions import Pin
-from orbitfinder.loops.ipopt import Progress
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
@@ -243,7 +242,9 @@ class Tasks:
 
     def found(self, file: Path, out: Path) -> FilmedOrbit:
         """The orbit of a problem file, in OUT/NAME/orbit.json where it is certified: what `orbitfinder run` does."""
-        orbit = solve(load_problem(file), progress=self._iterated)
+        orbit = solve(load_problem(file), progress=lambda at: self._say(
+            f"{at.stage} {at.iteration}: defect {at.defect:.1e}, period {at.period:.6g}"
+        ))  # fmt: skip
         kept = orbit.certificate is not None and orbit.certificate.passed
         saved = save_orbit(orbit, out / orbit.name / "orbit.json") if kept else None
         return FilmedOrbit(orbit, self._film(orbit), saved)
@@ -312,9 +313,6 @@ class Tasks:
             )  # fmt: skip
             self._refiner = key, Refiner(problem)
         return self._refiner[1]
-
-    def _iterated(self, at: Progress) -> None:
-        self._say(f"{at.stage} {at.iteration}: defect {at.defect:.1e}, period {at.period:.6g}")
 
     def _stepped(self, folder: Path) -> Callable[[Batch], None]:
         """A report of each step of the family in a folder."""
