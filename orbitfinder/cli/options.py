@@ -237,7 +237,11 @@ def usual(
         chosen.append(out_option(out, default=into, show_default=into is not None))
     if figures:
         chosen.append(option("figures/--no-figures", figures, True))
-    chosen += [compile_option] * compiled + [option("trust", trust, kind=bool)] * bool(trust) + [json_option] * json
+    chosen += (
+        [compile_option] * compiled
+        + [click.option("--trust", is_flag=True, help=trust)] * bool(trust)
+        + [json_option] * json
+    )
     return lambda command: functools.reduce(lambda run, add: add(run), reversed(chosen), command)
 
 
