@@ -8,20 +8,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import orbitfinder as of
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.follow import follow
 from orbitfinder.families.point import FamilySettings, unknowns_of
 from orbitfinder.families.run import Run, first_point
-from orbitfinder.families.stability import SPREAD, Spectrum, asymplectic, spectrum
+from orbitfinder.families.stability import Spectrum, asymplectic, spectrum
 from orbitfinder.families.start import begin
 from orbitfinder.integrate.march import March, divided
 from orbitfinder.loops.continued import at_place
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.mechanisms.library import lorenz
+from orbitfinder.orbits.evidence import tour
 from orbitfinder.orbits.floquet import judged, symplectic_unit
 from orbitfinder.orbits.guesses.modes import mode_problem
-from orbitfinder.orbits.product import product
+from orbitfinder.orbits.product import SPREAD, product
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import FamilyPoint, load_family, plain, restored
 
@@ -34,6 +36,37 @@ def orthogonal_chain(rng, decades=RANGE, count=60):
     frames = [np.linalg.qr(rng.normal(size=(decades.size,) * 2))[0] for _ in range(count)]
     part = np.diag(10 ** (decades / count))
     return [after @ part @ before.T for before, after in zip(frames, [*frames[1:], frames[0]], strict=True)]
+
+
+def twisted(slope, growth, shear, sway):
+    """A unit circle with period 2 pi about which a transverse plane turns over once: multipliers -exp(2 pi slope),
+    -exp(2 pi growth) and exp(-4 pi) exactly, of eigenvectors that a `shear` brings together; under way errors grow and
+    shrink again by exp(2 sway)."""
+
+    def field(_, at, p):
+        x, y, around = at.x, at.y, 1 - at.x**2 - at.y**2
+        turn = [around * x - y, x + around * y]
+        v, w, mean, apart = at.u - x / 2, at.v - y / 2, (p.a + growth) / 2, (growth - p.a) / 2 + sway * x
+        twist = shear * apart
+        return [
+            *turn,
+            -w / 2 + mean * v + apart * (x * v + y * w) - twist * (x * w + w - y * v) + turn[0] / 2,
+            v / 2 + mean * w + apart * (y * v - x * w) - twist * (x * v - v + y * w) + turn[1] / 2,
+        ]
+
+    return of.ode(field, ("x", "y", "u", "v"), {"a": slope})
+
+
+@pytest.mark.parametrize("slope", [0.0, 1e-7])
+def test_a_check_reads_multipliers_factor_by_factor(slope):
+    """Multiplied out the certificate's map has lost the second to 8e-7, of which a doubling was denied."""
+    lap = tour(twisted(slope, 2.0, 10.0, 8.0), np.array([1.0, 0.0, 0.5, 0.0]), 2 * np.pi, np.zeros(4, int))
+    exact = np.array([-np.exp(4 * np.pi), -np.exp(2 * np.pi * slope), np.exp(-4 * np.pi)])
+    off = np.abs(lap.multipliers() / exact - 1.0)
+    assert off.max() < 3e-8, off
+    assert np.abs(np.linalg.eigvals(lap.map())[:, None] / exact - 1.0).min(axis=0).max() > 2e-7
+    doubted = lap.multipliers(np.random.default_rng(0), 1e-13)
+    assert 1e-11 < np.abs(doubted / exact - 1.0).max() < 1e-6
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -38,7 +38,7 @@ from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import arcs, numbers, unsure
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.orbits.evidence import COARSER, VARIED, ClosureCheck, Tour, tour
-from orbitfinder.orbits.floquet import ERROR_FLOOR, analyse, judged
+from orbitfinder.orbits.floquet import ERROR_FLOOR, judged
 from orbitfinder.orbits.hybrid import hybrid_tour, retraced
 from orbitfinder.records.family import BECOMES, CLOSURE, UNKNOWN, Event, Reading
 
@@ -96,7 +96,7 @@ class Probe:
     @cached_property
     def about(self) -> Any:
         """What is read off the root map, by the names of `Spectrum`."""
-        return self._read(self.tour.map())
+        return self._read(self.tour.multipliers())
 
     @cached_property
     def doubted(self) -> list[Any]:
@@ -105,25 +105,20 @@ class Probe:
         if not missed <= known + ALIKE:
             raise ConvergenceError(f"its multipliers miss the divergence of the flow by exp({missed:.2g})")
         random = np.random.default_rng(0)
-        return [self._read(self.tour.map(random, self._gone[1].relative_tolerance)) for _ in range(DRAWS)]
+        return [self._read(self.tour.multipliers(random, self._gone[1].relative_tolerance)) for _ in range(DRAWS)]
 
     @cached_property
     def coarser(self) -> Any:
         """The same at ten times the tolerance, which is off by more than the map is."""
         settings = self._gone[1]
         coarser = ReferenceSettings(10 * settings.relative_tolerance, 10 * settings.absolute_tolerance)
-        return self._read(self._round(coarser).map())
+        return self._read(self._round(coarser).multipliers())
 
-    def _read(self, reduced: np.ndarray) -> Any:
-        values, pairs = np.linalg.eigvals(reduced).astype(complex), self.tour.conservative
+    def _read(self, values: np.ndarray) -> Any:
+        pairs = self.tour.conservative
         roots = judged(values).indices if pairs else values
         return SimpleNamespace(
-            reduced=reduced,
-            root_multipliers=values,
-            indices=roots,
-            roots=roots,
-            conservative=pairs,
-            root=self.tour.root,
+            root_multipliers=values, indices=roots, roots=roots, conservative=pairs, root=self.tour.root
         )
 
     @property
@@ -139,7 +134,7 @@ class Probe:
     @property
     def unstable(self) -> bool:
         """Whether a multiplier is outside the unit circle."""
-        return analyse(self.about.reduced, self.about.conservative).stability == "unstable"
+        return judged(self.about.root_multipliers, self.about.conservative).stability == "unstable"
 
     def beyond(self, level: float) -> bool:
         """The same where a root passes a level, however near to it that root still is: beyond is beyond."""

@@ -72,7 +72,7 @@ def _bending(curve: Curve, sample: Sample) -> float:
 
 def beside_level(test: Critical, about: Spectrum) -> Iterator[Test]:
     """The tests of a curve along which a root is at +1 or -1: what another root does."""
-    if about.reduced.shape[0] < 2:
+    if about.root_multipliers.size < 2:
         return
     level = test.roots(about)[1]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from itertools import accumulate, pairwise
+from itertools import pairwise
 from math import gcd
 
 import numpy as np
@@ -17,12 +17,9 @@ from orbitfinder.integrate.march import QUANTUM, Gridded
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.orbits.floquet import AREA, Floquet, complement, generated, judged, symplectic_unit, verdict
-from orbitfinder.orbits.product import STRETCHED, Product, merged, product
+from orbitfinder.orbits.product import STRETCHED, Product, lost, merged, product
 from orbitfinder.records.family import METHODS
 
-SPREAD = 1e8
-"""Multipliers farther apart than this are found factor by factor: multiplied out, their matrix has lost eight digits of
-the smallest."""
 ACCURACY, LARGEST = 1e-14, 1e290
 """Relative error of a state-transition matrix of a few steps at least; what multipliers of canards count as that are
 beyond the range of numbers"""
@@ -142,7 +139,8 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
     conservative = keeps_pairs(curve, reduced)
     if chain is None:
         values, vectors = np.linalg.eig(reduced)
-        if not p.links and _lost(np.abs(values) ** root, curve, solution):
+        transited = solution.march.transitions * curve.units / curve.units[:, None]
+        if not p.links and lost(np.abs(values) ** root, transited):
             chain = _chain(curve, solution)
     if chain is not None:
         values, vectors = chain.product.values, np.zeros((0, 0))
@@ -183,19 +181,6 @@ def keeps_pairs(curve: Curve, reduced: np.ndarray) -> bool:
     """Whether multipliers of reduced maps (... x r x r) come in reciprocal pairs; resets need not keep areas."""
     areas = np.abs(np.linalg.det(reduced)) if curve.equations.links and reduced.size else 1.0
     return bool(curve.equations.symplectic and np.all(np.abs(areas - 1.0) < AREA))
-
-
-def _lost(sizes: np.ndarray, curve: Curve, solution: Solution) -> bool:
-    """Whether the round-off of the largest multiplier, of these sizes, has swallowed digits of the smallest, or what
-    shrinks under way and grows again, as in a canard, digits of all."""
-    transitions = solution.march.transitions * curve.units / curve.units[:, None]
-    most = SPREAD * max(1.0, float(sizes.max(initial=0.0)))
-    if np.sqrt((transitions**2).sum(axis=(1, 2))).prod() <= most:  # nothing on the way is larger
-        return bool(sizes.size and sizes.max() > SPREAD * sizes.min())
-    ahead = accumulate(transitions, lambda done, piece: piece @ done)
-    behind = [*accumulate(transitions[:0:-1], lambda done, piece: done @ piece)][::-1]
-    grown = max((np.linalg.norm(a) * np.linalg.norm(b) for a, b in zip(ahead, behind, strict=False)), default=0.0)
-    return bool(sizes.size and (sizes.max() > SPREAD * sizes.min() or grown > most))
 
 
 def _chain(curve: Curve, solution: Solution) -> RootFactors:

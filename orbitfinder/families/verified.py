@@ -617,8 +617,7 @@ def _joined(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
         if told is not None and not abs(value - told) <= ROUNDED * abs(value) + float(end.error or 0.0):
             raise ConvergenceError(f"{name} is {value:.15g} of the orbit that is joined, recorded {told:.15g}")
     lap = tour(model, state, period, turned(model, turns, joined.get("shift", {})))
-    whole = np.linalg.matrix_power(lap.map(), times)
-    values = np.linalg.eigvals(whole).astype(complex)
+    values = lap.multipliers() ** times
     roots = judged(values).indices if lap.conservative else values
     off = abs(levelled(roots, 2.0 if lap.conservative else 1.0))
     gap, apart = lap.closes.gap / (CLOSURE * lap.closes.amplification), abs(times * period / whole_period - 1)

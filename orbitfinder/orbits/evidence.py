@@ -18,8 +18,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from itertools import combinations
+from functools import partial, reduce
+from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.integrate import simpson, trapezoid
@@ -44,7 +44,8 @@ from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, altered, constraint_of, energies
 from orbitfinder.mechanics.scales import Acts, acting, acting_in, extents, extents_of, masses_of, snapped
 from orbitfinder.orbits.closure import Closure, carried, closes, distance, gap, shift, still
-from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, reduce_monodromy, symplectic_unit
+from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, symplectic_unit
+from orbitfinder.orbits.product import lost, product
 
 SAMPLES = 512
 """Intervals at which the certifying integration is inspected."""
@@ -323,30 +324,49 @@ class Tour:
     divergence: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0)
     motion: tuple[np.ndarray, np.ndarray] = (np.zeros(0), np.zeros((0, 0)))
     """times (k) and states (k x d) of the period"""
-    flows: np.ndarray | None = None
-    """rates where pieces begin (k x m, in extents), of autonomous systems: what errors along them would lead astray"""
+    bases: Sequence[np.ndarray] = ()
+    """of what is not trivial (m x r each) where pieces begin; none where they are not known"""
 
     @property
     def root(self) -> int:
         """Of which power of the map the monodromy is."""
         return 1 if self.half is None else 2
 
-    def map(self, noise: np.random.Generator | None = None, share: float = 0.0) -> np.ndarray:
-        """The root map without trivial multipliers (r x r), each piece with an error that is a `share` of its norm."""
-        return reduce_monodromy(self.inner(noise, share, self.flows), *self._framed)
+    def map(self) -> np.ndarray:
+        """The root map without trivial multipliers (r x r)."""
+        return _multiplied(self.factors())
 
-    def inner(
-        self, noise: np.random.Generator | None = None, share: float = 0.0, flows: np.ndarray | None = None
-    ) -> np.ndarray:
-        """The same with them, on what constraints leave; without what is along `flows` where pieces begin."""
-        whole = np.eye(self.units.size)
-        for k, piece in enumerate(self.pieces[: len(self.pieces) // self.root]):
-            error = 0.0 if noise is None else share * np.linalg.norm(piece, 2) * noise.normal(size=piece.shape)
-            if k and flows is not None:
-                whole = whole - np.outer(flows[k], flows[k] @ whole) / (flows[k] @ flows[k])
-            whole = (piece + error) @ whole
-        whole = whole if self.half is None else self.half @ whole
-        return np.asarray(self.basis.T @ whole @ self.basis)
+    def multipliers(self, noise: np.random.Generator | None = None, share: float = 0.0) -> np.ndarray:
+        """Its eigenvalues (r), each piece with an error that is a `share` of its norm: factor by factor where the
+        product has lost them."""
+        factors = self.factors(noise, share)
+        values = np.linalg.eigvals(_multiplied(factors))
+        known = len(factors) == 1 or not lost(np.abs(values), np.array(factors))
+        return np.asarray(values if known else product(factors).values, complex)
+
+    def factors(self, noise: np.random.Generator | None = None, share: float = 0.0) -> list[np.ndarray]:
+        """That map in factors, of one piece each between `bases`."""
+        pieces, bases = self._halved, self.bases or (self._start,)
+        if noise is not None:
+            pieces = [one + share * np.linalg.norm(one, 2) * noise.normal(size=one.shape) for one in pieces]
+        pieces = pieces if self.bases else [_multiplied(pieces)]
+        ways = pairwise([*bases[: len(pieces)], bases[0]])
+        return [after.T @ piece @ before for piece, (before, after) in zip(pieces, ways, strict=True)]
+
+    def inner(self) -> np.ndarray:
+        """The root map with trivial multipliers, on what constraints leave."""
+        return np.asarray(self.basis.T @ _multiplied(self._halved) @ self.basis)
+
+    @property
+    def _halved(self) -> list[np.ndarray]:
+        """The pieces of the root map."""
+        pieces = list(self.pieces[: len(self.pieces) // self.root])
+        return pieces if self.half is None else [*pieces[:-1], self.half @ pieces[-1]]
+
+    @property
+    def _start(self) -> np.ndarray:
+        """The basis at the start."""
+        return _basis(self.gradients, self.directions, self.basis)
 
     @property
     def _framed(self) -> tuple[np.ndarray, np.ndarray]:
@@ -378,7 +398,7 @@ class Tour:
         """Krein signatures of multipliers of a canonical system's whole period, each with whether it can be told."""
         if not self.conservative or not multipliers.size:
             return [(0, False)] * multipliers.size
-        form = self._form(self.basis @ complement(*self._framed))
+        form = self._form(self._start)
         values, vectors = np.linalg.eig(np.linalg.matrix_power(self.map(), self.root))
         found = []
         for mu in multipliers:
@@ -601,6 +621,15 @@ def _variable(model: Model, states: np.ndarray, units: np.ndarray) -> float:
     return max(float(np.abs(gradients(state).full()[which]) @ units) for state in states[:: SAMPLES // 16])
 
 
+def _multiplied(pieces: Sequence[np.ndarray]) -> np.ndarray:
+    return reduce(lambda done, one: one @ done, pieces)
+
+
+def _basis(gradients: np.ndarray, directions: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """A basis (m x r) of what is neither across a level set nor along a direction (k x m each), `within` (m x b)."""
+    return np.asarray(within @ complement(gradients @ within, directions @ within))
+
+
 def _products(pieces: Sequence[np.ndarray]) -> tuple[np.ndarray, float, float]:
     """Phi(T, 0), the largest |Phi(t, s)| between the ends of any two pieces and the largest |Phi(T, t)| |Phi(t, 0)|."""
     count, size = len(pieces), len(pieces[0])
@@ -638,8 +667,9 @@ def tour(
             told, joins = _beside(equations, motion, units, *beside, varied)
             if joins.gap <= GROWN * joins.amplification:
                 motion, loop = told, replace(loop, closes=joins)
-        flows = None if model.forced else np.array([equations.field(0.0, y) for y in motion.begins]) / units
-        loop = replace(loop, divergence=partial(_divergence, equations, motion, units), flows=flows)
+        frames = map(equations.frame, equations.states(motion.begins), motion.begins)
+        bases = [_basis(kept * units, along / units, tangent_basis(held * units)) for kept, along, held in frames]
+        loop = replace(loop, divergence=partial(_divergence, equations, motion, units), bases=bases)
     if forward is not None:
         n = motion.turns.size
         places = forward.places(n) * (units[None, :n] / units[:n, None])

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dgesv, dorgqr
@@ -30,6 +30,9 @@ NOISE = 1e-6
 """... or, of factors that are ill-conditioned, within this, where so many passes more bring them no nearer"""
 PATIENCE, MOST_PASSES, STRETCHED = 4, 40, 1e4
 """... The last: condition of a factor up to which steps are multiplied out"""
+SPREAD = 1e8
+"""Multipliers farther apart than this are found factor by factor: multiplied out, their matrix has lost eight digits of
+the smallest."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +161,18 @@ def product(factors: Sequence[np.ndarray] | np.ndarray) -> Product:
     upper[-1] = seam @ upper[-1]
     kept = np.flatnonzero(below <= max(worst, SETTLED)) + 1
     return Product(np.array(frames[:-1]), np.array(upper), (0, *map(int, kept), size), worst)
+
+
+def lost(sizes: np.ndarray, matrices: np.ndarray) -> bool:
+    """Whether, multiplied out, matrices (p x d x d) have lost digits of the smallest eigenvalue, these being the sizes,
+    to the round-off of the largest, or digits of all to what grows under way and shrinks again, as in a canard."""
+    most = SPREAD * max(1.0, float(sizes.max(initial=0.0)))
+    if np.sqrt((matrices**2).sum(axis=(1, 2))).prod() <= most:  # nothing on the way is larger
+        return bool(sizes.size and sizes.max() > SPREAD * sizes.min())
+    ahead = accumulate(matrices, lambda done, piece: piece @ done)
+    behind = [*accumulate(matrices[:0:-1], lambda done, piece: done @ piece)][::-1]
+    grown = max((np.linalg.norm(a) * np.linalg.norm(b) for a, b in zip(ahead, behind, strict=False)), default=0.0)
+    return bool(sizes.size and (sizes.max() > SPREAD * sizes.min() or grown > most))
 
 
 def merged(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
