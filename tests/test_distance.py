@@ -1,6 +1,6 @@
 """How near the true orbit is: which directions are free, what round-off hides, and what a certificate then says."""
 
-import logging
+import json
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -12,11 +12,13 @@ from test_certificate_holes import check, flat, record
 import orbitfinder as of
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families import verified
+from orbitfinder.families.checks import Refuted
 from orbitfinder.orbits import closure, evidence
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.evidence import tour
 from orbitfinder.orbits.measure import resolved
-from orbitfinder.records.family import Batch
+from orbitfinder.records.codec import plain, typed
+from orbitfinder.records.family import Batch, Reading
 
 ROOT = Path(__file__).parents[1]
 CYCLE, PERIOD = [2.008619860874844, 0.0], 6.663286859323132
@@ -116,15 +118,41 @@ def test_stability_that_changes_without_an_event_is_unknown(caplog, monkeypatch)
     silent = replace(family, events=tuple(event for event in family.events if event.kind == "turn"))
     assert silent.unknown and "with no certified event between" in silent.unknown[0]
 
-    def stalled(*_):
-        raise ConvergenceError("the corrector stalled")
-
-    monkeypatch.setattr(verified, "reading", stalled)
     stable, unstable = (replace(family.points[0], stability=name) for name in ("elliptic", "unstable"))
     for after, word in ((unstable, "unknown"), (stable, "none")):
-        with caplog.at_level(logging.WARNING):
-            batch = verified.checked(None, Batch(1, (after,), family.events[:1]), 1.0, "energy", stable)
-        assert not batch.events and f"and is {word}: the corrector stalled" in caplog.messages[-1]
+        batch = answered(Refuted("the family turns there"), after, stable, monkeypatch)
+        assert not batch.events and not batch.undecided
+        assert f"and is {word}: the family turns there" in caplog.messages[-1]
+
+
+def answered(said, after, before, monkeypatch):
+    """A step with an event of which this is said, a reading or an error."""
+
+    def check(*_):
+        if isinstance(said, Exception):
+            raise said
+        return said
+
+    monkeypatch.setattr(verified, "reading", check)
+    event = of.load_family(ROOT / "results" / "families" / "henon-heiles-loop" / "family.json").events[0]
+    return verified.checked(None, Batch(1, (after,), (event,)), 1.0, "energy", before)
+
+
+@pytest.mark.parametrize(("said", "none"), [
+    (ConvergenceError("the corrector stalled"), False),
+    (ConvergenceError("the orbit closes to 4.8e-08 where errors grow 1.7 times, which is too little"), False),
+    (Reading(0.57, 0.92, False), False),
+    (Reading(0.57, 0.01, False), True),
+    (Refuted("no other family leads through it"), True),
+])  # fmt: skip
+def test_only_a_check_that_decides_says_none(said, none, caplog, monkeypatch):
+    """What no check decides is unknown: in the log, in the family, and by the exit code that it makes."""
+    family = of.load_family(ROOT / "results" / "families" / "henon-heiles-loop" / "family.json")
+    batch = answered(said, family.points[0], family.points[0], monkeypatch)
+    assert not batch.events and f"and is {'none' if none else 'unknown'}: " in caplog.messages[-1]
+    assert batch.undecided == (() if none else (caplog.messages[-1],))
+    again = typed(Batch, json.loads(json.dumps(plain(batch))), "")
+    assert again.undecided == batch.undecided and replace(family, undecided=batch.undecided).unknown == batch.undecided
 
 
 @pytest.mark.parametrize("power", [3, 5])

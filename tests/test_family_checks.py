@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from conftest import inside
+from test_certificate_holes import flat
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
@@ -243,3 +244,42 @@ def test_a_verdict_that_changes_at_a_fold_by_almost_nothing_is_kept():
     assert found.points[-1].stability == "unstable" != found.points[0].stability
     assert found.events[0].parameter == pytest.approx(-77.450824102262, abs=1e-9)
     assert all(one.check.passed for one in found.events)
+
+
+def behind_a_gap(frequency):
+    """Two masses, the first with a spring of 100 N/m behind a gap of 1 m, whose corner is round over 1 mm."""
+    wall = {"kind": "stop", "at": "q1", "stiffness": 100.0, "gap": 1.0, "smoothing": 1e-3}
+    damping, stiffness = np.array([[0.03, -0.03], [-0.03, 0.06]]), np.array([[1.0, -1.0], [-1.0, 2.0]])
+    load = {"at": "q2", "amplitude": 0.1, "frequency": frequency}
+    return of.structure(np.eye(2), damping, stiffness, {"wall": wall}, load)
+
+
+@pytest.mark.parametrize("step", [0.05, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.03, 0.02, 0.01))])
+def test_a_doubling_beside_a_sharp_corner_is_found(step):
+    """A mesh that the corner has left located it elsewhere by 1e-6 to 1e-5, or not at all, and its check then failed.
+
+    The reference is by SciPy's DOP853 at 1e-12, Newton's method and secants of the multiplier.
+    """
+    model = behind_a_gap(0.755611)
+    state = [-0.627431123196162, -0.8138791574253464, 1.0442090865109155, 0.24558921613317733]
+    settings = FamilySettings(parameter="frequency", first_step=step, certify=False)
+    family = follow_family(flat(model, state, 2 * np.pi / 0.755611), until=0.75558, settings=settings)
+    assert [one.kind for one in family.events] == ["period_doubling", "stability_change"] and not family.unknown
+    for one in family.events:
+        assert one.check.passed and inside(one, 0.7555876139127675) and one.error < 1e-11
+
+
+@pytest.mark.slow
+def test_every_event_beside_a_sharp_corner_is_found():
+    """Up the resonance and down again: two folds and two doublings, every change of stability at one of them."""
+    problem = Problem(behind_a_gap(0.8), of.guesses.linear_response(behind_a_gap(0.8)), name="gap")
+    family = follow_family(problem, "frequency", until=0.5, points=260)
+    found = {one.kind: [] for one in family.events}
+    for one in family.events:
+        found[one.kind].append(one)
+    assert {kind: len(events) for kind, events in found.items()} == {
+        "period_doubling": 2, "stability_change": 4, "fold": 2
+    }  # fmt: skip
+    assert not family.unknown
+    for one, reference in zip(found["period_doubling"], [0.7388003205948521, 0.7555876139127675], strict=True):
+        assert inside(one, reference)

@@ -36,6 +36,8 @@ class Planted(Interval):
         """Maps have no equations that another family could cross."""
         return False
 
+    strayed = crossed
+
 
 def read(family, s, root):
     """What is read at one map."""

@@ -41,6 +41,8 @@ class Planted(Interval):
         """Maps have no equations that another family could cross."""
         return False
 
+    strayed = crossed
+
 
 def read(family: Family, s: float, expected: np.ndarray | None, distance: float, root: int) -> Sample:
     """A sample of a map: indices, and which multiplier of each has Krein sign +1."""

@@ -156,6 +156,8 @@ def _ways(
 class Recorder(Protocol):
     """How points in harmonics become members of a family, and what happens between two of them."""
 
+    undecided: tuple[str, ...] = ()
+
     def tests(self) -> Mapping[str, Callable[[Point], float]]:
         """What is located in harmonics."""
 
@@ -166,7 +168,7 @@ class Recorder(Protocol):
         """What happens in a step, of which some was `seen` in harmonics, each with its check."""
 
 
-class _Marched:
+class _Marched(Recorder):
     """Orbits of few coordinates, on the equations of shooting."""
 
     def __init__(
@@ -222,6 +224,7 @@ class _Marched:
             event_at(self.curve, *each, self.settings.parameter) for each in find_events(interval, self.settings)
         ]
         batch = checked(self.curve, Batch(1, events=tuple(located)), length, self.settings.parameter)
+        self.undecided += batch.undecided
         batch = batch_certified(self.curve, batch) if self.settings.certify else batch
         if not self.curve.equations.model.forced:  # from here on in its own scales, of whatever size it is
             self.curve = self.curve.measured(last.solution)
@@ -234,7 +237,7 @@ class _Marched:
         return certified(self.curve, point)
 
 
-class _Large:
+class _Large(Recorder):
     """Orbits of many coordinates, or stiff ones, by their series alone."""
 
     def __init__(
@@ -584,4 +587,4 @@ def _assembled(own: Any, runs: Sequence[_Direction], source: Mapping[str, Any]) 
     events = sorted((reverted(event) for run in walked for event in run.events), key=attrgetter("arclength"))
     events = [replace(event, index=int(np.searchsorted(lengths, event.arclength)) - 1) for event in events]
     return Family(own.name, system, own.settings.parameter, tuple(points), tuple(events),
-                  tuple(run.end for run in walked), entry, source)  # fmt: skip
+                  tuple(run.end for run in walked), entry, source, own.undecided)  # fmt: skip

@@ -59,7 +59,7 @@ Measure = Callable[["Probe"], float]
 
 
 class Refuted(ConvergenceError):
-    """An event is not what it is called, whatever orbits beside it say."""
+    """An event is not what it is called, and not only unknown."""
 
 
 @dataclass(frozen=True)
@@ -125,11 +125,6 @@ class Probe:
     def multipliers(self) -> np.ndarray:
         """The non-trivial multipliers of the period; `about.root_multipliers` are those of the root map."""
         return np.asarray(self.about.root_multipliers**self.about.root)
-
-    @property
-    def indices(self) -> np.ndarray:
-        """Its stability indices."""
-        return np.asarray(self.about.indices)
 
     @property
     def unstable(self) -> bool:
@@ -213,7 +208,9 @@ class Sides:
                 again = (_as(self.here, self.here.coarser), self.middle, *doubted)
                 noise = max(abs(measure(each) - value) for each in again)
         sure = low * high < 0 and noise <= most
-        read = Reading(value, noise + within * slope, bool(sure and abs(value) <= noise + within * slope))
+        error = noise + within * slope
+        # one that is not here is somewhere between the two where the sign changes
+        read = Reading(value, max(error, abs(value) * (low * high < 0)), bool(sure and abs(value) <= error))
         return self._barred(read, (abs(value) + noise) * self.step / nonzero(slope))
 
     def _barred(self, read: Reading, off: float) -> Reading:
@@ -334,9 +331,9 @@ def check_passage(sides: Sides, event: Event) -> Reading:
     if not levels:
         raise Refuted(f"its multiplier {event.multiplier:.6g} and order {event.order} are of another kind")
     if KINDS[event.kind].crosses and event.multiplier.real > 0 and sides.turns(_parameter(sides.here.curve)):
-        raise ConvergenceError("the family turns there, so that nothing else leads through it")
+        raise Refuted("the family turns there, so that nothing else leads through it")
     if KINDS[event.kind].crosses and event.multiplier.real > 0 and not here.conservative and not sides.crossed:
-        raise ConvergenceError("no other family leads through it")
+        raise Refuted("no other family leads through it")
     return sides.zero(_level(levels[0]))
 
 
@@ -420,7 +417,7 @@ def check_torus(sides: Sides, event: Event) -> Reading:
     """A complex pair on the unit circle."""
     about = sides.here.about
     if about.conservative or not abs(sum_ := torus_pair(about.roots)[1]) < 2.0:
-        raise ConvergenceError("no complex pair of multipliers is on the unit circle")
+        raise Refuted("no complex pair of multipliers is on the unit circle")
     if abs(sum_ - 2 * event.multiplier.real) > ALIKE or (event.detail, event.order) != ("", 0):
         raise ConvergenceError(f"the pair on the unit circle is not {event.multiplier:.6g}")
     return sides.zero(_pair)
@@ -468,7 +465,7 @@ def check_stability(sides: Sides, event: Event) -> Reading:
     looks, told = (sides.before, sides.after), dict(zip(BECOMES, [(True, False), (False, True)], strict=True))
     verdicts = [tuple(probe.unstable for probe in looks), tuple(probe.beyond(level) for probe in looks if level)]
     if told.get(event.detail) not in verdicts:
-        raise ConvergenceError("the orbits on its two sides are as stable or unstable as each other")
+        raise Refuted("the orbits on its two sides are as stable or unstable as each other")
     return nearest
 
 
@@ -494,7 +491,7 @@ def check_second(sides: Sides, event: Event) -> Reading:
         told = (test.kind, test.detail, test.order) == (event.kind, event.detail, event.order)
         if told and abs(test.multiplier - event.multiplier) < ALIKE:
             return sides.zero(test.measure)  # type: ignore[arg-type]
-    raise ConvergenceError("nothing of this kind happens along such a curve")
+    raise Refuted("nothing of this kind happens along such a curve")
 
 
 def check_bending(sides: Sides, _: Event) -> Reading:
@@ -507,7 +504,7 @@ def _folds_of(sides: Sides) -> tuple[str, str]:
     test = sides.here.curve.test
     assert isinstance(test, Critical)
     if not KINDS[test.kind].extremal:
-        raise ConvergenceError("no curve of folds turns there")
+        raise Refuted("no curve of folds turns there")
     return test.parameters
 
 
@@ -515,10 +512,10 @@ def check_extremal(centre: bool, sides: Sides, event: Event) -> Reading:
     """On a curve of folds in two parameters, where the one that folds turns."""
     curve = sides.here.curve
     if event.detail not in _folds_of(sides):
-        raise ConvergenceError("no curve of folds turns there")
+        raise Refuted("no curve of folds turns there")
     low, middle, high = sides.values(event.detail)
     if is_centre(curve, sides.here.solution.place, event.detail, low + high - 2 * middle) != centre:
-        raise ConvergenceError("the surface of orbits is bent the other way")
+        raise Refuted("the surface of orbits is bent the other way")
     return sides.turning(event.detail)
 
 

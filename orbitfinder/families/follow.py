@@ -154,6 +154,8 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
     if known is None and blocks is not None:
         known = blocks.accepted(curve, place, kept, whole)
     after = step_from(run, before, point, kept, whole, last if kept is raw else None, known)
+    if kept is not raw:  # beside a sharp corner what is read on a mesh that it has left is off by whole events
+        last = replace(after.sample, distance=length, solution=raw, whole=last.whole)
     batch = _batch(run, before, after, last, met)
     stands = bool(batch.points) and batch.points[-1] is after.point
     return after, replace(batch, standing=standing_of(curve, kept, whole)) if stands else batch

@@ -87,22 +87,29 @@ def multiplier_levels(root: int) -> tuple[Level, Level]:
     return (1.0, "branch_point", "", 1, 1.0 + 0.0j), (-1.0, *other, -1.0 + 0.0j)
 
 
-def located(interval: Interval, measure: Measure, low: float, high: float) -> Sample:
+def located(
+    interval: Interval, measure: Measure, low: float, high: float, sampled: Callable[[float], Sample] | None = None
+) -> Sample:
     """The orbit at which a measure vanishes, by Brent's method between two distances."""
+    sampled, fit = sampled or interval.sample, interval.fitted
     if low == high:
-        return interval.sample(low)
+        return sampled(low)
 
     def value(distance: float) -> float:
-        return measure(interval.sample(distance))
+        return measure(sampled(distance))
 
     ends = [value(low), value(high)]
+    if ends[0] * ends[1] >= 0 and sampled == fit and high - low < interval.length:
+        return located(interval, measure, 0.0, interval.length, fit)
     if ends[0] * ends[1] >= 0:  # within round-off of one end
-        return interval.sample((low, high)[int(abs(ends[1]) < abs(ends[0]))])
-    sample = interval.sample(zero(value, low, high, LOCATION))
+        return sampled((low, high)[int(abs(ends[1]) < abs(ends[0]))])
+    sample = sampled(zero(value, low, high, LOCATION))
     if interval.crossed(sample):
         sample = replace(sample, whole=interval.heading(sample.distance))  # its rows tell neither family's tangent
         with suppress(ConvergenceError, IntegrationError):  # as of a step that is too short to look beyond
             return _across(interval, measure, sample)
+    if sampled != fit and interval.strayed(sample):
+        return located(interval, measure, low, high, fit)
     return sample
 
 

@@ -33,7 +33,7 @@ from orbitfinder.loops.continued import (
     tangent,
 )
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.loops.mesh import carried, refined
+from orbitfinder.loops.mesh import carried, needs_mesh, refined, settled
 from orbitfinder.loops.scales import Scales
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import FamilyPoint, Standing
@@ -165,6 +165,18 @@ class Interval:
         """Whether another family crosses at an orbit of the interval."""
         passing = np.abs(sample.about.values - 1.0).min(initial=np.inf) < PASSING
         return bool(passing) and self.curve.test is None and crossed(self.curve, sample.solution)
+
+    def strayed(self, sample: Sample) -> bool:
+        """Whether the motion of an orbit has left the mesh that was made for it."""
+        return not self.curve.equations.gridded and needs_mesh(self.curve, sample.solution, 1)
+
+    def fitted(self, distance: float) -> Sample:
+        """The orbit at a distance on a mesh that fits it."""
+        if distance in (0.0, self.length):
+            return self.sample(distance)
+        near, curve = self.computed(distance), self.curve
+        solution = settled(curve, near.solution, near.whole, 1)
+        return make_sample(curve, distance, solution, tangent(curve, solution, near.head), near.indices)
 
     def about(self, distance: float, junction: float = JUNCTION) -> Interval:
         """The interval about a place where another family crosses, between orbits that can each be told from it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -115,7 +115,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
     """What the check of an event says; `along` (head) is the way the family goes there, `step` the arclength of a step,
     `parameter` what it is followed in.
 
-    Raises `ConvergenceError` where it is not known well enough, or its definition is contradicted.
+    Raises `ConvergenceError` where it is not known well enough, `Refuted` where its definition is contradicted.
     """
     kind = kind_of(event.kind)
     if kind.second == (curve.test is None):
@@ -123,8 +123,8 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
     solution = settled_on(curve, event)
     curve = curve.measured(solution)
     whole = _heading(curve, solution, along)
-    here, said = Probe(curve, solution), ConvergenceError("no orbits beside it")
-    result, slope = None, None if curve.test is not None or crossed(curve, solution) else solution.jacobian
+    here, result, said = Probe(curve, solution), None, Exception()
+    slope = None if curve.test is not None or crossed(curve, solution) else solution.jacobian
     for share, outer in SHARES:
         try:
             shares = step * share * np.array([-2, -1, 0, 1, 2] if outer else [-1, 0, 1])
@@ -134,10 +134,8 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
                           parameter, share == SHARES[-1][0])  # fmt: skip
             result = kind.check(sides, event)
             check(f"EventKind {event.kind!r}, check", "Reading", result)
-        except Refuted:
-            raise
         except (ConvergenceError, IntegrationError) as error:
-            said = ConvergenceError(str(error))
+            said = said if isinstance(said, Refuted) else error
             continue
         if result.passed:
             return replace(result, criticality=kind.side(sides, event))
@@ -192,26 +190,24 @@ def _heading(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
 
 def checked(curve: Curve, batch: Batch, step: float, parameter: str, before: FamilyPoint | None = None) -> Batch:
     """A step of a family, after the point `before`, with those of its events that are what they are called; the log
-    says what the others are: nothing, or unknown where the stability is another on the two sides."""
+    says what the others are: none, or unknown where no check decides or the stability is another on the two sides."""
     verdicts = [point.stability for point in (before, *batch.points) if point and point.stability in DECIDED]
     changes = 0 < verdicts.count("unstable") < len(verdicts)
-    return replace(batch, events=tuple(_kept(curve, batch.events, step, parameter, changes)))
-
-
-def _kept(curve: Curve, events: Sequence[Event], step: float, parameter: str, changes: bool) -> Iterator[Event]:
-    for event in events:
+    kept, undecided = list[Event](), list[str]()
+    for event in batch.events:
         try:
             read = reading(curve, event, event.tangent, step, parameter)
-            what = f"{read.value:.2g} where {read.error:.2g} is known"
+            if read.passed:
+                kept.append(replace(event, check=read))
+                continue
+            none, what = abs(read.value) > read.error, f"{read.value:.2g} where {read.error:.2g} is known"
         except (ConvergenceError, IntegrationError) as error:
-            read, what = None, str(error)
-        if read is not None and read.passed:
-            yield replace(event, check=read)
-        else:
-            logging.getLogger(__name__).warning(
-                "%s %s was seen at %.12g and is %s: %s", "an" if event.kind[0] in "ei" else "a",
-                event.kind.replace("_", " "), event.parameter, "unknown" if changes else "none", what,
-            )  # fmt: skip
+            none, what = isinstance(error, Refuted), str(error)
+        word, verdict = event.kind.replace("_", " "), "none" if none and not changes else "unknown"
+        said = f"a{'n' * (word[0] in 'ei')} {word} was seen at {event.parameter:.12g} and is {verdict}: {what}"
+        logging.getLogger(__name__).warning(said)
+        undecided += [said] * (not none)
+    return replace(batch, events=tuple(kept), undecided=tuple(undecided))
 
 
 def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:

@@ -51,11 +51,11 @@ class MeshSettings:
 MESH = MeshSettings()
 
 
-def needs_mesh(curve: Curve, solution: Solution) -> bool:
-    """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
+def needs_mesh(curve: Curve, solution: Solution, every: int = MESH.sampled) -> bool:
+    """Whether the mesh is too coarse, or a segment too unstable for a point, by one in so many steps."""
     if march := curve.equations.gridded:
         return not march.fits(solution.place.nodes, solution.place.mesh, solution.place.tail)
-    some = _errors(curve, solution, MESH.sampled)
+    some = _errors(curve, solution, every)
     allowed = _allowed(curve)
     if some.max() > MESH.coarse * allowed or _steep(curve, solution):
         return True
@@ -247,13 +247,13 @@ def carried(curve: Curve, place: Unknowns, whole: np.ndarray, other: Unknowns) -
     return np.concatenate([nodes.ravel(), whole[place.nodes.size :]])
 
 
-def settled(curve: Curve, solution: Solution, along: np.ndarray) -> Solution:
+def settled(curve: Curve, solution: Solution, along: np.ndarray, every: int = MESH.sampled) -> Solution:
     """The same orbit on a fitting mesh, held in the hyperplane through it normal to a direction over w.
 
     Segments stay where they are if they can, for the predictor of the next orbit looks back over them.
     """
     for _ in range(4):
-        if not needs_mesh(curve, solution):
+        if not needs_mesh(curve, solution, every):
             break
         mesh, gridded = solution.place.mesh, curve.equations.gridded is not None
         tame = gridded or _growths(curve, solution).max() <= MESH.steepest

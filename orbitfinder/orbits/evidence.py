@@ -307,10 +307,10 @@ LONGEST_STEPS = (np.inf, 1 / 400, 1 / 1600)
 class Tour:
     """A loop gone round once: `pieces` (m x m each, in extents) of its linearisation, and what is trivial in it.
 
-    `gradients` and `directions` (k x m) leave `size` multipliers; `basis` (m x r) spans what constraints leave, `half`
-    (m x m) takes what is half a period on back to the start where the orbit repeats itself there, and the map is then
-    that of half a period. `divergence()` is by how much the integrated divergence misses the sum of the logarithms of
-    all multipliers, and how well that is known.
+    `gradients` and `directions` (k x m) leave `size` multipliers; `basis` (m x r) spans what constraints leave. The
+    pieces make up the root map, of which the monodromy is the power `root`: half a period and back to the start where
+    the orbit repeats itself there. `divergence()` is by how much the integrated divergence misses the sum of the
+    logarithms of all multipliers, and how well that is known.
     """
 
     closes: Closure
@@ -320,17 +320,12 @@ class Tour:
     conservative: bool
     units: np.ndarray
     basis: np.ndarray
-    half: np.ndarray | None = None
+    root: int = 1
     divergence: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0)
     motion: tuple[np.ndarray, np.ndarray] = (np.zeros(0), np.zeros((0, 0)))
     """times (k) and states (k x d) of the period"""
     bases: Sequence[np.ndarray] = ()
     """of what is not trivial (m x r each) where pieces begin; none where they are not known"""
-
-    @property
-    def root(self) -> int:
-        """Of which power of the map the monodromy is."""
-        return 1 if self.half is None else 2
 
     def map(self) -> np.ndarray:
         """The root map without trivial multipliers (r x r)."""
@@ -341,12 +336,13 @@ class Tour:
         product has lost them."""
         factors = self.factors(noise, share)
         values = np.linalg.eigvals(_multiplied(factors))
-        known = len(factors) == 1 or not lost(np.abs(values), np.array(factors))
-        return np.asarray(values if known else product(factors).values, complex)
+        if len(factors) > 1 and lost(np.abs(values), np.array(factors)):
+            values = product(factors).values
+        return values.astype(complex)
 
     def factors(self, noise: np.random.Generator | None = None, share: float = 0.0) -> list[np.ndarray]:
         """That map in factors, of one piece each between `bases`."""
-        pieces, bases = self._halved, self.bases or (self._start,)
+        pieces, bases = self.pieces, self.bases or (self._start,)
         if noise is not None:
             pieces = [one + share * np.linalg.norm(one, 2) * noise.normal(size=one.shape) for one in pieces]
         pieces = pieces if self.bases else [_multiplied(pieces)]
@@ -355,13 +351,7 @@ class Tour:
 
     def inner(self) -> np.ndarray:
         """The root map with trivial multipliers, on what constraints leave."""
-        return np.asarray(self.basis.T @ _multiplied(self._halved) @ self.basis)
-
-    @property
-    def _halved(self) -> list[np.ndarray]:
-        """The pieces of the root map."""
-        pieces = list(self.pieces[: len(self.pieces) // self.root])
-        return pieces if self.half is None else [*pieces[:-1], self.half @ pieces[-1]]
+        return np.asarray(self.basis.T @ _multiplied(self.pieces) @ self.basis)
 
     @property
     def _start(self) -> np.ndarray:
@@ -369,14 +359,9 @@ class Tour:
         return _basis(self.gradients, self.directions, self.basis)
 
     @property
-    def _framed(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients and directions on what constraints leave."""
-        return self.gradients @ self.basis, self.directions @ self.basis
-
-    @property
     def trivial(self) -> float:
         """How far the map is from keeping the flow and the gradients of the invariants, relative to its size."""
-        inner, (gradients, directions) = self.inner(), self._framed
+        inner, gradients, directions = self.inner(), self.gradients @ self.basis, self.directions @ self.basis
         lost = (
             relative(directions @ inner.T - directions, directions),
             relative(gradients @ inner - gradients, gradients),
@@ -658,7 +643,7 @@ def tour(
     own = system_kind(model.system).motion(model)
     given = model, state, period, turns, evenly(period), TIGHTEST
     motion = own(*given) if own else canonical_motion(*given, varied)
-    acts, half = acting_in(model, motion.path), None
+    acts = acting_in(model, motion.path)
     units = known_in(motion.reaching(motion.path), motion.masses, period, model.angular, acts)
     loop = _looped(model, motion, units, motion.path, period)
     if own is None:
@@ -670,11 +655,14 @@ def tour(
         frames = map(equations.frame, equations.states(motion.begins), motion.begins)
         bases = [_basis(kept * units, along / units, tangent_basis(held * units)) for kept, along, held in frames]
         loop = replace(loop, divergence=partial(_divergence, equations, motion, units), bases=bases)
+    pieces, root = in_extents(motion.transitions, units), 1
     if forward is not None:
-        n = motion.turns.size
+        n, root = motion.turns.size, 2
         places = forward.places(n) * (units[None, :n] / units[:n, None])
         half = places if n == units.size else np.kron(np.eye(2), forward.places(n)) * units[None, :] / units[:, None]
-    return replace(loop, pieces=in_extents(motion.transitions, units), half=half, motion=(motion.times, motion.states))
+        pieces = pieces[: len(pieces) // 2]
+        pieces[-1] = half @ pieces[-1]
+    return replace(loop, pieces=pieces, root=root, motion=(motion.times, motion.states))
 
 
 def _beside(

@@ -292,12 +292,15 @@ class Batch:
     """Everything a step adds; written to the journal as a line, so that it is kept or lost as a whole."""
 
     __repr__ = brief("direction", "points", "events", "end")
+    _sparse = ("undecided",)
 
     direction: int
     points: Points = ()
     events: Events = ()
     end: End | None = None
     standing: Standing | None = None
+    undecided: tuple[str, ...] = ()
+    """what was seen of which no check says whether it is an event, a sentence each"""
 
 
 @dataclass(frozen=True)
@@ -318,6 +321,7 @@ class Family(Tabled):
         ends: kind and reason of both ends.
         curve: what rebuilds the equations, and of a curve of bifurcations the test that it keeps.
         source: what the family was started from.
+        undecided: what was seen of which no check says whether it is an event, a sentence each.
 
     Examples:
         >>> family.parameter, [end.kind for end in family.ends]
@@ -332,6 +336,7 @@ class Family(Tabled):
     """
 
     __repr__ = brief("name", "parameter", "points", "events", "ends")
+    _sparse = ("undecided",)
     _tables = "families.table:family_tables"
 
     name: str
@@ -342,6 +347,7 @@ class Family(Tabled):
     ends: tuple[End, ...]
     curve: Table = field(default_factory=dict)
     source: Table = field(default_factory=dict)
+    undecided: tuple[str, ...] = ()
 
     def _check(self) -> None:
         if not self.points:
@@ -355,9 +361,10 @@ class Family(Tabled):
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Between which points the stability changes and no certified event says how, a sentence each."""
+        """What is `undecided`, and between which points the stability changes and no certified event says how, a
+        sentence each."""
         known = [(k, point) for k, point in enumerate(self.points) if point.stability in DECIDED]
-        return tuple(
+        return self.undecided + tuple(
             f"unknown: {before.stability} at {self.parameter} {before.value:.12g} and {after.stability} at "
             f"{after.value:.12g}, with no certified event between; take shorter steps or another --method"
             for (i, before), (j, after) in pairwise(known)
@@ -619,7 +626,8 @@ def assemble(journal: Journal) -> Family:
     events = sorted(listed, key=attrgetter("arclength"))
     indexed = tuple(replace(event, index=int(np.searchsorted(places, event.arclength)) - 1) for event in events)
     ends = tuple(end for end in (journal.end(-1), journal.end(1)) if end is not None)
-    more = header["curve"], header.get("source", {})
+    undecided = tuple(sentence for batch in journal.batches for sentence in batch.undecided)
+    more = header["curve"], header.get("source", {}), undecided
     return Family(header["name"], header["system"], header["parameter"], numbered, indexed, ends, *more)
 
 
