@@ -283,3 +283,17 @@ def test_every_event_beside_a_sharp_corner_is_found():
     assert not family.unknown
     for one, reference in zip(found["period_doubling"], [0.7388003205948521, 0.7555876139127675], strict=True):
         assert inside(one, reference)
+
+
+@pytest.mark.slow
+def test_doublings_of_one_mass_beside_a_sharper_corner():
+    """40 N/m behind 0.5 m, round over 0.3 mm: the orbits of both were off by 5e-8 and 3e-9. References as above."""
+    wall = {"kind": "stop", "at": "q1", "stiffness": 40.0, "gap": 0.5, "smoothing": 3e-4}
+    load = {"at": "q1", "amplitude": 0.3, "frequency": 0.7}
+    model = of.structure(np.eye(1), np.array([[0.05]]), np.eye(1), {"wall": wall}, load)
+    problem = Problem(model, of.guesses.linear_response(model), name="one")
+    family = follow_family(problem, "frequency", until=1.0)
+    doublings = [one for one in family.events if one.kind == "period_doubling"]
+    for one, reference in zip(doublings, [0.8016201287834238, 0.9226871651515308], strict=True):
+        assert inside(one, reference)
+    assert not family.unknown and [one.kind for one in family.events].count("stability_change") == 2
