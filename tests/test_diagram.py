@@ -458,5 +458,6 @@ def test_what_is_read_there_is_known_as_well_as_it_is_read_again():
     sides = Sides(probe(-1.0), here, probe(0.008), probe(1.0), apart=3e-4, step=1.0)
     sides.__dict__["across"] = np.zeros(0)  # no error bars
     read = sides.zero(lambda look: look.about, within=0.0)
-    assert read.error == pytest.approx(0.015) and not read.passed  # the coarser integration alone says 1e-4
-    assert sides.zero(lambda look: look.about, within=4e-6).passed
+    assert not read.passed and read.error == 0.02  # it is no farther: the sign changes between the two sides
+    read = sides.zero(lambda look: look.about, within=4e-6)
+    assert read.passed and read.error == pytest.approx(0.015 + 4e-6 / 3e-4)  # the coarser integration alone says 1e-4
