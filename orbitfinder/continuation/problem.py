@@ -140,4 +140,4 @@ def _tangent(solver: Solver, rows: int, metric: np.ndarray) -> np.ndarray:
     last = np.zeros(rows)
     last[-1] = -1.0
     tangent = solver(last)
-    return np.asarray(tangent / sqrt(float(tangent @ (metric * tangent))))
+    return tangent / sqrt(float(tangent @ (metric * tangent)))

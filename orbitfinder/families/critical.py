@@ -54,7 +54,7 @@ class Critical:
 
     def __call__(self, curve: Curve, orbits: Sequence[Solution]) -> np.ndarray:
         """The test at orbits (k). Raises `ConvergenceError` where it has no value."""
-        return np.asarray(self.followed.vanishes(self, curve, orbits))
+        return self.followed.vanishes(self, curve, orbits)
 
     def level(self, conservative: bool) -> float:
         """The value that a stability index, or a multiplier, has along the curve."""

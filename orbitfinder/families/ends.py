@@ -90,7 +90,11 @@ def end_at(run: Run, before: Walked, after: Walked) -> End | None:
     """The reason to stop after a step, or None."""
     curve, solution = run.curve, after.solution
     if self_excited(curve):
-        if _turned_over(curve, before.solution, solution):
+        # one that is the one before half a period later is behind an equilibrium
+        (first, here), (other, there) = (about_mean(curve, each) for each in (before.solution, solution))
+        weights = curve.scales.states**-2.0  # in their extents what does not move is noise
+        alike = np.einsum("kd,kd->d", first, other) @ weights
+        if alike < SHRINKING.turned * np.sqrt((here @ weights) * (there @ weights)):
             raise ConvergenceError("the orbits pass amplitude 0 within one step")
     elif collapsed(curve, before.solution, solution):
         return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(run, before.solution)
@@ -201,14 +205,6 @@ def _leaving(run: Run, rest: RestPoint) -> str:
     grown = int(np.count_nonzero(rest.others.real > 0))
     beside = f" beside {plural(grown, 'eigenvalue')} that grow" if grown else ""
     return f"{side} (l1 = {coefficient:.6g}){beside}"
-
-
-def _turned_over(curve: Curve, before: Solution, solution: Solution) -> bool:
-    """Whether an orbit is the one before half a period later, as behind an equilibrium."""
-    (first, here), (other, there) = (about_mean(curve, each) for each in (before, solution))
-    weights = curve.scales.states**-2.0  # in their extents what does not move is noise
-    alike = np.einsum("kd,kd->d", first, other) @ weights
-    return bool(alike < SHRINKING.turned * np.sqrt((here @ weights) * (there @ weights)))
 
 
 def _shrinking(curve: Curve, before: Solution, solution: Solution) -> bool:
@@ -370,7 +366,7 @@ def centre(curve: Curve, solution: Solution) -> np.ndarray:
     """The middle of an orbit's configurations (n): where a shrinking family is going."""
     n = curve.equations.model.degrees_of_freedom
     held, q = curve.centre, solution.march.states[:, :n]
-    return np.asarray(np.where(np.isnan(held), 0.5 * (q.max(axis=0) + q.min(axis=0)), held))
+    return np.where(np.isnan(held), 0.5 * (q.max(axis=0) + q.min(axis=0)), held)
 
 
 def collapsed(curve: Curve, before: Solution, solution: Solution) -> bool:

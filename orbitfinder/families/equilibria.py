@@ -368,7 +368,7 @@ def _other(problem: AtRest, z: np.ndarray, p: np.ndarray, tangent: np.ndarray) -
     (own, mixed), (_, across) = map(bent, both)
     lean = across / (mixed + np.copysign(np.sqrt(max(mixed**2 - own * across, 0.0)), mixed) or 1.0)
     other, d = (both[1] - lean * both[0]) / np.hypot(1.0, lean) * sizes, problem.jets.size
-    return np.asarray(np.append(other[:d], other[z.size :]))
+    return np.append(other[:d], other[z.size :])
 
 
 def _record(called: tuple[str, str], curve: Mapping[str, Any], runs: list[tuple[SolutionCurve, Way]]) -> Equilibria:

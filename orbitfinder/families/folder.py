@@ -139,7 +139,9 @@ def follow_family(
     watch, stop = _watched(origin, watch), stop or {}
     check_stop(stop, watch)
     request, source = _request(origin, settings, at, watch)
-    if follow_by := _own_way(origin, settings):
+    # the method that is asked for, where no march follows
+    by = (settings.method or method_of(origin)) if isinstance(origin, Orbit | Problem) else None
+    if by and (follow_by := named(by).follow):
         asked, wanted = (request, source), (until, at, bool(stop or between))
         return follow_by(as_problem(cast(Any, origin), model), settings, wanted, label, folder, asked, watch, progress)
     with contextlib.nullcontext() if folder is None else locks.alone_in(folder):
@@ -195,12 +197,6 @@ def _known_model(origin: Any, model: Model | None) -> Model | None:
     with contextlib.suppress(InputError):
         return build_model(origin.system)
     return None
-
-
-def _own_way(origin: Any, settings: FamilySettings) -> Callable[..., Family] | None:
-    """What follows the family of an orbit by the method that is asked for, where no march does."""
-    by = (settings.method or method_of(origin)) if isinstance(origin, Orbit | Problem) else None
-    return named(by).follow if by else None
 
 
 def _kept(folder: Path, request: Mapping[str, Any]) -> Journal | None:
@@ -330,7 +326,8 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Sequence[tuple
         ended = batch.end is not None and end_kind(batch.end.kind).asked
         if batch.points and (side not in last or (passed and not there)):
             beyond = f"points at {batch.points[-1].value:.9g}"
-            refuse_other(folder / JOURNAL, {"until": beyond}, {"until": _goal_words(goals)})
+            wanted = " or ".join(f"{name} = {value:.9g}" for name, value in goals) or "none that way"
+            refuse_other(folder / JOURNAL, {"until": beyond}, {"until": wanted})
         if side not in last or ((ended or passed) and not there):
             last.pop(side, None)  # and what comes after it in this direction
             continue
@@ -340,11 +337,6 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Sequence[tuple
         return journal
     begin_journal(folder / JOURNAL, plain(journal.header), map(plain, kept))
     return replace(journal, batches=tuple(kept))
-
-
-def _goal_words(goals: Sequence[tuple[str, float]]) -> str:
-    """Where a direction shall end."""
-    return " or ".join(f"{name} = {value:.9g}" for name, value in goals) or "none that way"
 
 
 def _request(

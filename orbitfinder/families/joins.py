@@ -65,7 +65,7 @@ class Invariance:
         later = (len(states) - 1) // self.parts % (len(states) - 1)
         here = states[: len(states) - 1 - later]
         image = here if self.involution is None else here @ self.involution.matrix(angles.size).T
-        return np.asarray(wrapped(image - states[later : later + len(here)], angles))
+        return wrapped(image - states[later : later + len(here)], angles)
 
     def joined(self, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """The samples over the joined period that those of an orbit beside it become by the mean over their images."""

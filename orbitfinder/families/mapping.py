@@ -227,7 +227,7 @@ class _Filling:
     def _fill(self, text: str, first: int = 0) -> None:
         """Pixels that a journal has kept, of rows from the `first` on. Raises `InputError`."""
         try:
-            matrix = unpacked(text, self._width)
+            matrix = unpacked(text, 4 + int(self.block.vectors.shape[2] + self.block.numbers.shape[2]))
             matrix[:, 0] += first
             self.block.fill(matrix)
         except ValueError as error:
@@ -291,10 +291,6 @@ class _Filling:
         first = max(rows.start - BEHIND, 0)
         block = self.block.part(slice(first, rows.stop + BEHIND), slice(None))
         return plane, block, (first, 0), slice(rows.start - first, rows.stop - first), columns
-
-    @property
-    def _width(self) -> int:
-        return 4 + int(self.block.vectors.shape[2] + self.block.numbers.shape[2])
 
     def _done(self) -> tuple[int, int]:
         return int((self.block.blank != UNTRIED).sum()), self.block.blank.size

@@ -154,7 +154,7 @@ def motions(family: Family, model: Model, count: int = 8) -> list[MemberMotion]:
 def _spread(values: Sequence[float]) -> np.ndarray:
     """How much of the way that a number goes along a family is behind each point, 0 to 1."""
     way = np.append(0.0, np.cumsum(np.abs(np.diff(values))))
-    return np.asarray(way / (way[-1] or 1.0))
+    return way / (way[-1] or 1.0)
 
 
 def amplitudes(family: Family, model: Model) -> np.ndarray:
@@ -162,7 +162,7 @@ def amplitudes(family: Family, model: Model) -> np.ndarray:
 
     Without family.npz their states alone are integrated. Raises `InputError`.
     """
-    return np.asarray(np.diff(extents(family, model), axis=1)[:, 0] / 2)
+    return np.diff(extents(family, model), axis=1)[:, 0] / 2
 
 
 def extents(family: Family, model: Model) -> np.ndarray:

@@ -30,7 +30,16 @@ def full_samples(curve: Curve, solution: Solution, count: int = SAMPLES) -> tupl
     """Times (s) and states at equal times over the whole period, unfolded by the formulation's symmetry."""
     p, place = curve.equations, solution.place
     if p.links:
-        return _linked_samples(curve, solution, count)
+        # at an event the state after it
+        arcs = p.links.count
+        ends, pieces = place.period * np.append(0.0, np.cumsum(p.links.shares(place.free))), []
+        times = np.linspace(0.0, place.period, count + 1)
+        for k, (begin, end) in enumerate(pairwise(ends)):
+            states, mesh = arc_states(solution, arcs, k), arc_mesh(place, arcs, k)
+            slopes = p.march.arcs[k].rates(states, place.tail) * place.period / arcs
+            own = times[(times >= begin) & ((times < end) if k < arcs - 1 else (times <= place.period))]
+            pieces.append(CubicHermiteSpline(mesh, states, slopes)((own - begin) / (end - begin)))
+        return times, np.vstack(pieces)
     if march := p.gridded:
         shares, key = np.linspace(0.0, 1.0, count + 1), f"samples, {count}"
         if key not in solution.kept:  # asked for of every point and of the one after it
@@ -74,20 +83,6 @@ def interpolated(mesh: np.ndarray, states: np.ndarray, slopes: np.ndarray, momen
     shares = ((moments - mesh[before]) / lengths[before, 0])[:, None]
     cubics = np.stack([early + late - 2 * chords, 3 * chords - 2 * early - late, early, states[:-1]], axis=1)[before]
     return np.asarray(((cubics[:, 0] * shares + cubics[:, 1]) * shares + cubics[:, 2]) * shares + cubics[:, 3])
-
-
-def _linked_samples(curve: Curve, solution: Solution, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The same of a hybrid orbit; at an event the state after it."""
-    p, place = curve.equations, solution.place
-    arcs = p.links.count
-    ends, pieces = place.period * np.append(0.0, np.cumsum(p.links.shares(place.free))), []
-    times = np.linspace(0.0, place.period, count + 1)
-    for k, (begin, end) in enumerate(pairwise(ends)):
-        states, mesh = arc_states(solution, arcs, k), arc_mesh(place, arcs, k)
-        slopes = p.march.arcs[k].rates(states, place.tail) * place.period / arcs
-        own = times[(times >= begin) & ((times < end) if k < arcs - 1 else (times <= place.period))]
-        pieces.append(CubicHermiteSpline(mesh, states, slopes)((own - begin) / (end - begin)))
-    return times, np.vstack(pieces)
 
 
 def watched(curve: Curve, solution: Solution) -> dict[str, float]:

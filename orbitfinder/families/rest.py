@@ -145,7 +145,7 @@ class _Extended:
 
     def _vector(self, z: np.ndarray) -> np.ndarray:
         start, end = self.count + 1, self.count + 1 + self.size
-        return np.asarray(z[start:end] + 1j * z[end:])
+        return z[start:end] + 1j * z[end:]
 
     def _kept(self, z: np.ndarray) -> np.ndarray:
         if not self.held.size:

@@ -123,7 +123,7 @@ class AtRest:
             return whole
         d, fixed = self.jets.size, np.zeros((len(whole), len(self.phase)))
         fixed[0], fixed[1 : 1 + d] = self.phase @ ((z[:d] - self.origin) / self.z_sizes[:d]), self.phase.T
-        return np.asarray(np.hstack([whole, fixed]))
+        return np.hstack([whole, fixed])
 
     @cached_property
     def _units(self) -> np.ndarray:
@@ -143,7 +143,7 @@ class AtRest:
             return np.zeros(0)
         z = np.concatenate([self.origin, np.zeros(self.jets.extra)])
         by_z = self.jets.first(z, self.jets.model.parameter_values[self._free], self.kept)[1 : 1 + z.size].T[d:]
-        return np.asarray(nonzero(np.abs(by_z * self.z_sizes).max(axis=1, initial=0.0)))
+        return nonzero(np.abs(by_z * self.z_sizes).max(axis=1, initial=0.0))
 
     @property
     def _free(self) -> list[int]:
@@ -494,7 +494,7 @@ def _pencil(gz: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def nearest(gz: np.ndarray, mass: np.ndarray, value: complex) -> np.ndarray:
     """The vector of the eigenvalue that is nearest to a value."""
     values, vectors = _pencil(gz, mass)
-    return np.asarray(vectors[:, np.argmin(np.abs(values - value))])
+    return vectors[:, np.argmin(np.abs(values - value))]
 
 
 def oscillations(problem: AtRest, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -559,7 +559,7 @@ def lyapunov(
     third = jets.third(z, p, a, a) - jets.third(z, p, b, b) + 2j * jets.third(z, p, a, b)  # C(q, q, .)
 
     def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-        return np.asarray(units * np.linalg.solve(matrix, np.append(right, np.zeros(len(problem.phase))) / rows))
+        return units * np.linalg.solve(matrix, np.append(right, np.zeros(len(problem.phase))) / rows)
 
     try:
         mean, double = solved(gz, second @ q.conj()), solved(2 * turn * mass - gz, second @ q)

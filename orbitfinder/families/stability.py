@@ -66,7 +66,7 @@ class Spectrum:
     @cached_property
     def ranked(self) -> np.ndarray:
         """The same, the largest modulus first."""
-        return np.asarray(self.root_multipliers[np.argsort(-np.abs(self.root_multipliers), kind="stable")])
+        return self.root_multipliers[np.argsort(-np.abs(self.root_multipliers), kind="stable")]
 
     @cached_property
     def growths(self) -> np.ndarray:
@@ -279,7 +279,7 @@ def _inverses(curve: Curve, solutions: Sequence[Solution], matrices: np.ndarray)
     after = np.array([curve.equations.momentum_slopes(end, free) for _, end, free in places])
     canonical = after @ matrices @ np.linalg.inv(before)
     unit = symplectic_unit(matrices.shape[1] // 2)
-    return np.asarray(np.linalg.solve(before, -unit @ canonical.swapaxes(1, 2) @ unit @ after))
+    return np.linalg.solve(before, -unit @ canonical.swapaxes(1, 2) @ unit @ after)
 
 
 def _bases(curve: Curve, states: Sequence[np.ndarray], flows: np.ndarray, slopes: Sequence[np.ndarray]) -> np.ndarray:
@@ -350,4 +350,4 @@ def _squeezed(indices: np.ndarray) -> np.ndarray:
     """Large indices on a logarithmic scale, so that none of them dominates the matching."""
     size = np.abs(indices)
     bounded = np.maximum(size, 4.0)
-    return np.asarray(indices * np.where(size > 4.0, (4.0 + np.log(bounded / 4.0)) / bounded, 1.0))
+    return indices * np.where(size > 4.0, (4.0 + np.log(bounded / 4.0)) / bounded, 1.0)

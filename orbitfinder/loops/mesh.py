@@ -98,7 +98,7 @@ def _blocks(curve: Curve, solution: Solution) -> np.ndarray:
 
 def _density(errors: np.ndarray, allowed: float) -> np.ndarray:
     """(error / allowed)^(1/8), the number of steps that each present step should become."""
-    return np.asarray((errors / allowed) ** 0.125)
+    return (errors / allowed) ** 0.125
 
 
 def wanted_steps(curve: Curve, solution: Solution, errors: np.ndarray) -> np.ndarray:
@@ -189,7 +189,7 @@ def arc_states(solution: Solution, arcs: int, k: int) -> np.ndarray:
 def arc_mesh(w: Unknowns, arcs: int, k: int) -> np.ndarray:
     """The mesh in arc k, over its own duration (0 to 1)."""
     steps = (w.mesh.size - 1) // arcs
-    return np.asarray(w.mesh[k * steps : (k + 1) * steps + 1] * arcs - k)
+    return w.mesh[k * steps : (k + 1) * steps + 1] * arcs - k
 
 
 def _rounded(steps: float) -> int:

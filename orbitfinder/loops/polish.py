@@ -54,7 +54,7 @@ def end_of(flow: Flow, state: np.ndarray, span: tuple[float, float], tail: np.nd
     """
     path, enough = path_of(flow, state, span, tail, least)
     graded = None if enough else graded_end(flow.field, state, span, tail, flow.units)
-    return np.asarray(path[-1] if graded is None else graded)
+    return path[-1] if graded is None else graded
 
 
 def path_of(

@@ -169,7 +169,7 @@ def control_sizes(strength: np.ndarray, period: float, unused: float = 1.0) -> n
     """Of controls (m) that accelerate by their `strength` (m) in extents, what changes a state by these in a radian of
     the period; a size that is `unused` of those that do not act."""
     acts = strength > 0
-    return np.asarray(np.where(acts, 2 * np.pi / period / np.where(acts, strength, 1.0), unused))
+    return np.where(acts, 2 * np.pi / period / np.where(acts, strength, 1.0), unused)
 
 
 HARMONIC = 8.0**0.5

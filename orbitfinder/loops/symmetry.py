@@ -75,11 +75,11 @@ class Involution:
     def places(self, n: int) -> np.ndarray:
         """P (n x n)."""
         placed = np.eye(n)[list(self.order)] if self.order else np.eye(n)
-        return np.asarray(np.broadcast_to(self.signs, n).astype(float)[:, None] * placed)
+        return np.broadcast_to(self.signs, n).astype(float)[:, None] * placed
 
     def keeps(self, n: int) -> np.ndarray:
         """Which coordinates (n) stay as they are."""
-        return np.asarray(np.diag(self.places(n)) > 0)
+        return np.diag(self.places(n)) > 0
 
     def matrix(self, n: int) -> np.ndarray:
         """S (2n x 2n) of x -> S x, not to be written to."""
@@ -448,7 +448,7 @@ def _asked(symmetry: Symmetry, n: int) -> np.ndarray:
     along = symmetry.rows(n)[1][:, :n] @ np.transpose(symmetry.relative)
     if np.all(np.count_nonzero(along, axis=0) == 1):
         return np.delete(np.eye(len(along)), np.flatnonzero(along.any(axis=1)), axis=0)
-    return np.asarray(np.linalg.svd(along)[0][:, along.shape[1] :].T)
+    return np.linalg.svd(along)[0][:, along.shape[1] :].T
 
 
 @lru_cache(maxsize=64)
@@ -717,15 +717,9 @@ def has(involution: Involution, times: np.ndarray, states: np.ndarray, angles: n
     """Whether samples over a period have a symmetry, wherever in it they begin."""
     if involution.sense < 0:
         return _mirrored(involution, times, states, angles)
-    return bool(np.all(half_period_gaps(involution, states, angles) <= RECOGNITION * _moved(states, angles)))
-
-
-def half_period_gaps(involution: Involution, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """|x(t + T/2) - S x(t)| of samples over a period, angles modulo 2 pi."""
     half = (len(states) - 1) // 2
-    return np.asarray(
-        np.abs(wrapped(states[half : 2 * half] - states[:half] @ involution.matrix(angles.size).T, angles))
-    )
+    gaps = wrapped(states[half : 2 * half] - states[:half] @ involution.matrix(angles.size).T, angles)
+    return bool(np.all(np.abs(gaps) <= RECOGNITION * _moved(states, angles)))
 
 
 def off_centre(involution: Involution, states: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray:

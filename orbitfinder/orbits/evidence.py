@@ -475,7 +475,12 @@ def gather(
     path, states = motion.path[at], motion.states[at]
     moved = np.ptp(motion.reaching(path), axis=0)
     loop = _looped(model, motion, in_momenta(moved, motion.masses, period, None, acting_in(model, path)), path, period)
-    monodromy, growth, varied = _products(loop.pieces)
+    # the largest |Phi(t, s)| between the ends of any two pieces, and the largest |Phi(T, t)| |Phi(t, 0)|
+    count, size = len(loop.pieces), len(loop.pieces[0])
+    norms, wholes = np.ones((count + 1, count + 1)), np.empty((0, size, size))
+    for end, piece in enumerate(loop.pieces, 1):  # from the start of each piece to that of another
+        wholes = piece @ np.concatenate([wholes, np.eye(size)[None]])
+        norms[:end, end] = np.linalg.norm(wholes, axis=(1, 2))
     kinetic, potential = energies(model, states)
     total = kinetic + potential
     exchanged = nonzero(max(float(np.ptp(potential)) + float(kinetic.max()), 1e-3 * float(np.abs(potential).max())))
@@ -492,9 +497,9 @@ def gather(
         floquet=analyse(loop.map(), conservative=loop.conservative),
         drift=float(np.abs(total - total[0]).max()) / exchanged,
         exchanged=exchanged,
-        growth=growth,
-        varied=varied,
-        norm=float(np.linalg.norm(monodromy)),
+        growth=float(norms.max()),
+        varied=float((norms[:, -1] * norms[0]).max()),
+        norm=float(np.linalg.norm(wholes[0])),
         motion=motion,
     )
 
@@ -532,7 +537,7 @@ def _conserved(field: VectorField, path: np.ndarray, units: np.ndarray, period: 
     sizes = np.where(sizes > 0, sizes, 1.0)
     _, singular, known = np.linalg.svd(terms / sizes, full_matrices=False)
     _, share, gradients = np.linalg.svd(known[singular <= ROUNDED * singular[0], : units.size])
-    return np.asarray(gradients[: share.size][share > KNOWN] / sizes[: units.size])
+    return gradients[: share.size][share > KNOWN] / sizes[: units.size]
 
 
 def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
@@ -613,16 +618,6 @@ def _multiplied(pieces: Sequence[np.ndarray]) -> np.ndarray:
 def _basis(gradients: np.ndarray, directions: np.ndarray, within: np.ndarray) -> np.ndarray:
     """A basis (m x r) of what is neither across a level set nor along a direction (k x m each), `within` (m x b)."""
     return np.asarray(within @ complement(gradients @ within, directions @ within))
-
-
-def _products(pieces: Sequence[np.ndarray]) -> tuple[np.ndarray, float, float]:
-    """Phi(T, 0), the largest |Phi(t, s)| between the ends of any two pieces and the largest |Phi(T, t)| |Phi(t, 0)|."""
-    count, size = len(pieces), len(pieces[0])
-    norms, wholes = np.ones((count + 1, count + 1)), np.empty((0, size, size))
-    for end, piece in enumerate(pieces, 1):  # from the start of each piece to that of another
-        wholes = piece @ np.concatenate([wholes, np.eye(size)[None]])
-        norms[:end, end] = np.linalg.norm(wholes, axis=(1, 2))
-    return wholes[0], float(norms.max()), float((norms[:, -1] * norms[0]).max())
 
 
 def tour(

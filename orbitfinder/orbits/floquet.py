@@ -71,7 +71,7 @@ def complement(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
     scale = np.linalg.norm(removed, axis=-1, keepdims=True)
     _, singular, rows = np.linalg.svd(removed / nonzero(scale))  # at an equilibrium the flow is 0
     rank = int(np.sum(singular > 1e-10 * singular[..., :1], axis=-1).max())
-    return np.asarray(rows[..., rank:, :].swapaxes(-1, -2))
+    return rows[..., rank:, :].swapaxes(-1, -2)
 
 
 def analyse(reduced: np.ndarray, conservative: bool = True, error: float = 0.0) -> Floquet:

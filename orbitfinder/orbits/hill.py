@@ -427,4 +427,4 @@ def _rates(problem: Balanced, w: Coefficients, times: np.ndarray) -> np.ndarray:
     """The matrices (s x d x d) of the linearised equations of first order at times (rad)."""
     motion = problem.basis.motion(problem.coefficients(w), times)
     slopes = problem.equations.slopes(times, motion, problem.values(w))
-    return np.asarray(-np.linalg.solve(slopes[1], slopes[0]))
+    return -np.linalg.solve(slopes[1], slopes[0])

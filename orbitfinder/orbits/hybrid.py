@@ -299,7 +299,7 @@ def unseen(model: Model, evidence: HybridEvidence) -> tuple[float, float, str]:
         for one in automaton.hybrid.leaving(arc.mode):
 
             def height(rows: np.ndarray, one: Transition = one) -> np.ndarray:
-                return np.asarray(one.direction * model.along(one.guard, (rows * units).T).ravel())
+                return one.direction * model.along(one.guard, (rows * units).T).ravel()
 
             def climb(rows: np.ndarray, one: Transition = one, rates: Rates = rates) -> np.ndarray:
                 slopes = model.along(one.slope, (rows * units).T).reshape(rows.shape)

@@ -22,7 +22,7 @@ from typing import Any, cast
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import splu
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
@@ -219,7 +219,13 @@ class Implicit:
         before, fresh = np.inf, not self._factors or self._factors[0] != h
         for _ in range(MOST):
             if fresh and np.isinf(before):
-                self._factors = h, *self._factored(times, h, states, a)
+                # the masses and the factors of an iteration's matrices, in the middle of a step
+                middle = slice(STAGES // 2, STAGES // 2 + 1)
+                q, v = np.hsplit(states[middle], 2)
+                slopes = self._slopes(times[middle], q, v, a[middle])[:, 0]
+                weights = (h * self.eigenvalues[:, None]) ** (2 - self.table[:, 2])
+                every = sparse.block_diag([self.linear.matrix(slopes * weight) for weight in weights], format="csc")
+                self._factors = h, self.linear.matrix(slopes * (self.table[:, 2] == 2)), splu(every)
             _, mass, factors = self._factors
             missed = self.many(times, states)[:, n:] - a
             right = self.into @ (mass @ missed.T).T
@@ -242,15 +248,6 @@ class Implicit:
                 return end, a
             before = moved
         raise IntegrationError("the steps of an implicit method do not converge; start nearer to the motion")
-
-    def _factored(self, times: np.ndarray, h: float, states: np.ndarray, a: np.ndarray) -> tuple[Any, SuperLU]:
-        """The masses and the factors of an iteration's matrices, in the middle of a step."""
-        middle = slice(STAGES // 2, STAGES // 2 + 1)
-        q, v = np.hsplit(states[middle], 2)
-        slopes = self._slopes(times[middle], q, v, a[middle])[:, 0]
-        weights = (h * self.eigenvalues[:, None]) ** (2 - self.table[:, 2])
-        every = sparse.block_diag([self.linear.matrix(slopes * weight) for weight in weights], format="csc")
-        return self.linear.matrix(slopes * (self.table[:, 2] == 2)), splu(every)
 
     def path(self, state: np.ndarray, period: float, steps: int, units: np.ndarray) -> np.ndarray:
         """States (steps + 1 x 2n) at equal times over a period. Raises `IntegrationError`."""
@@ -335,7 +332,7 @@ class Implicit:
     def _ahead(self) -> np.ndarray:
         """What takes stages of a step to the polynomial's values at those of the next."""
         powers = self.places[:, None] ** np.arange(STAGES)
-        return np.asarray((1 + self.places)[:, None] ** np.arange(STAGES) @ np.linalg.inv(powers))
+        return (1 + self.places)[:, None] ** np.arange(STAGES) @ np.linalg.inv(powers)
 
     def _varied(self, t: float, state: np.ndarray, h: float, a: np.ndarray, whole: np.ndarray) -> np.ndarray:
         """A matrix (2n x k) of variations carried over a step with stages a."""

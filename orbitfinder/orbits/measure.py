@@ -93,7 +93,7 @@ def marched(
     `units` (2n) are what its multipliers are measured in, () is 1.
     """
     nodes, times, _ = whole
-    mesh, tail = times / times[-1], _untouched(march, w)
+    mesh, tail = times / times[-1], np.concatenate([[w.period], np.zeros(march.unfolding), w.free])
     transitions, end = march.varied(nodes, mesh, tail).transitions, march.ends(nodes[:1], mesh, tail)[0]
     return composed(problem, w, whole, action, transitions, end, units)
 
@@ -113,11 +113,6 @@ def composed(
         monodromy = matrix @ monodromy
     floquet = reduced(problem.model, nodes[0], monodromy, units)
     return recorded(problem, w.period, end, nodes, times, states, w.unfolding, action, floquet)
-
-
-def _untouched(march: March | Marches, w: Unknowns) -> np.ndarray:
-    """The parameters (T, s, free) of a flow without unfolding."""
-    return np.concatenate([[w.period], np.zeros(march.unfolding), w.free])
 
 
 def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfolding: np.ndarray) -> Orbit:

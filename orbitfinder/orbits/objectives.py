@@ -191,7 +191,21 @@ def _peak(
         )
     heights: list[float] = []
     for _ in range(ROUNDS):
-        ready = _at_peak(problem, place, times, states)
+        # with t = 0 of the guess at the peak of the component, and the objective about that
+        n = problem.model.degrees_of_freedom
+        top = int(np.abs(states[:-1, place]).argmax())
+        resting = problem.boundary.reverses
+        if resting:  # t = 0 stays at rest, at the end of the swing where the coordinate is larger
+            top = 0 if abs(states[0, place]) >= abs(states[len(states) // 2, place]) else len(states) // 2
+        moved = np.vstack([states[top:], states[1 : top + 1] + states[-1] - states[0]])
+        clock = np.concatenate([times[top:] - times[top], times[1 : top + 1] + times[-1] - times[top]])
+        ready = replace(
+            problem,
+            guess=Guess(moved[0], float(times[-1]), clock, moved),
+            coordinate=None,
+            objective=_aim(place, n, float(np.sign(moved[0, place]))),
+            phase_condition=None if resting else lambda variables: variables.rate[place],
+        )
         nodes = guessed_nodes(ready.guess, found.edges[:-1])
         shooting = transcribe(ready, nodes, flow)
         start = shooting.vector(replace(shooting.guess, free=found.free))
@@ -222,29 +236,9 @@ def _component(problem: Problem, states: np.ndarray) -> int:
     return rates + int(np.abs(states[:, rates : rates + n]).max(axis=0).argmax())
 
 
-def _at_peak(problem: Problem, place: int, times: np.ndarray, states: np.ndarray) -> Problem:
-    """The Problem with t = 0 of its guess at the peak of a state component, and the objective about that."""
-    n = problem.model.degrees_of_freedom
-    top = int(np.abs(states[:-1, place]).argmax())
-    resting = problem.boundary.reverses
-    if resting:  # t = 0 stays at rest, at the end of the swing where the coordinate is larger
-        top = 0 if abs(states[0, place]) >= abs(states[len(states) // 2, place]) else len(states) // 2
-    moved = np.vstack([states[top:], states[1 : top + 1] + states[-1] - states[0]])
-    clock = np.concatenate([times[top:] - times[top], times[1 : top + 1] + times[-1] - times[top]])
-    return replace(
-        problem, guess=Guess(moved[0], float(times[-1]), clock, moved), coordinate=None,
-        objective=_aim(place, n, float(np.sign(moved[0, place]))), phase_condition=None if resting else _flat(place),
-    )  # fmt: skip
-
-
 def _aim(place: int, n: int, sign: float) -> Callable[[Variables], object]:
     """Minus the size of a coordinate at t = 0, or the size of a rate."""
     return lambda variables: (-sign if place < n else sign) * variables.start[place]
-
-
-def _flat(place: int) -> Callable[[Variables], object]:
-    """The time derivative of a state component at t = 0."""
-    return lambda variables: variables.rate[place]
 
 
 def _orbit(shooting: Shooting, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -120,16 +120,6 @@ def checked_state(model: Model, state: Sequence[float] | np.ndarray) -> np.ndarr
     return found
 
 
-def _check_events(events: Sequence[tuple[float, str]], duration: float) -> None:
-    """`IntegrationError` where there are, or at this pace will be, more events than a simulation goes through."""
-    count, last = len(events), events[-1][0]
-    if count >= MOST_EVENTS or (count >= LEAST_STEPS and count * duration > FAR_MORE * MOST_EVENTS * last):
-        raise IntegrationError(
-            f"more than {MOST_EVENTS} events in {duration:.4g} s, {count} of them in the first {last:.4g} s; give a "
-            "shorter duration", time=last,
-        )  # fmt: skip
-
-
 def _simulated(model: Model, state: np.ndarray, times: np.ndarray) -> Simulation:
     """The motion of a hybrid Model at equal times, arc by arc."""
     automaton = Automaton(model, longest=float(times[-1]) / LEAST_STEPS)
@@ -142,7 +132,12 @@ def _simulated(model: Model, state: np.ndarray, times: np.ndarray) -> Simulation
             parts.append(np.array(energies(automaton.hybrid.mode(arc.mode).model, rows[-1])))
         if arc.ended_by is not None:
             events.append((float(arc.times[-1]), arc.ended_by))
-            _check_events(events, float(times[-1]))
+            count, last, duration = len(events), events[-1][0], float(times[-1])  # or what it will be at this pace
+            if count >= MOST_EVENTS or (count >= LEAST_STEPS and count * duration > FAR_MORE * MOST_EVENTS * last):
+                raise IntegrationError(
+                    f"more than {MOST_EVENTS} events in {duration:.4g} s, {count} of them in the first {last:.4g} s; "
+                    "give a shorter duration", time=last,
+                )  # fmt: skip
     kinetic, potential = np.hstack(parts)
     return Simulation(
         model.state_names, times, np.vstack(rows), kinetic + potential, float(np.ptp(kinetic)), model.conservative,

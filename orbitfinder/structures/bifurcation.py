@@ -125,7 +125,7 @@ class Bifurcation(Tabled):
     @property
     def heights(self) -> np.ndarray:
         """The coordinate that is drawn at every sample (n)."""
-        return np.asarray(self.states[:, self.state_names.index(self.coordinate)])
+        return self.states[:, self.state_names.index(self.coordinate)]
 
     def own_tables(self) -> Tables:
         """A row a sample: the parameter, the motion's number there, time, state, after how many returns it repeats."""
@@ -444,7 +444,7 @@ class _Motions:
         if made.sweep != "none" and 0 <= before < made.values.size:
             rows = self.known[float(made.values[before]), run]
             if len(rows) == made.count:
-                return np.asarray(rows[-1, 1:])
+                return rows[-1, 1:]
         return np.asarray(made.starts[run % len(made.starts)])
 
     def record(self, model: Model) -> Bifurcation:
@@ -508,7 +508,7 @@ def family_samples(made: Bifurcation, family: Family, model: Model | None = None
         count *= 4
     states = wrapped(passing.states, model.angular)[..., model.state_names.index(made.coordinate)]
     heights = np.sort(np.where(within, states, np.nan), axis=1)
-    return np.asarray(heights[:, : max(1, int(within.sum(axis=1).max()))])
+    return heights[:, : max(1, int(within.sum(axis=1).max()))]
 
 
 @one_thread()

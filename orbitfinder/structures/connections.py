@@ -246,16 +246,6 @@ def _intersections(p: np.ndarray, q: np.ndarray) -> Iterator[tuple[int, int, flo
                 yield i, int(j), float(s[j]), float(t[j])
 
 
-def _frames(cut: Surface, states: np.ndarray) -> np.ndarray:
-    """d state / d axes (k x d x 2) on the section at the held energy."""
-    frames = np.zeros((*states.shape, 2))
-    frames[:, list(cut.axes), [0, 1]] = 1.0
-    if cut.levels:
-        i, slopes = solved_component(cut), cut.invariants(states)[1][:, 0]
-        frames[:, i] = -slopes[:, list(cut.axes)] / slopes[:, i, None]
-    return frames
-
-
 def _linear(chain: ReturnChain) -> Linearisation:
     """The gaps of a chain and their derivatives. Raises `IntegrationError` where a crossing has no return."""
     base, cut, starts = chain.origin, chain.origin.surface, chain.states[:-1]
@@ -265,7 +255,13 @@ def _linear(chain: ReturnChain) -> Linearisation:
     if not passing.complete.all():
         raise IntegrationError("the motion does not come back to the section")
     ends = passing.states[:, 0, :size]
-    moved = passing.states[:, 0, size:].reshape(-1, size, size).transpose(0, 2, 1) @ _frames(cut, starts)
+    # d state / d axes (k x d x 2) on the section at the held energy
+    frames = np.zeros((*starts.shape, 2))
+    frames[:, list(cut.axes), [0, 1]] = 1.0
+    if cut.levels:
+        i, slopes = solved_component(cut), cut.invariants(starts)[1][:, 0]
+        frames[:, i] = -slopes[:, list(cut.axes)] / slopes[:, i, None]
+    moved = passing.states[:, 0, size:].reshape(-1, size, size).transpose(0, 2, 1) @ frames
     if plane.component >= 0:
         rates = cut.motions.rates(passing.times[:, 0], ends)
         moved = moved - rates[:, :, None] * (moved[:, None, plane.component] / rates[:, plane.component, None, None])

@@ -61,7 +61,7 @@ class FrequencyMap(Shown):
         """The largest change of a frequency (k) from half to half, relative to the largest frequency."""
         change = np.where(np.isnan(self.frequencies), 0.0, np.abs(self.later - self.frequencies)).max(axis=1)
         size = np.nan_to_num(np.abs(self.frequencies)).max(axis=1)
-        return np.asarray(np.where(size > 0, change / nonzero(size), np.nan))
+        return np.where(size > 0, change / nonzero(size), np.nan)
 
 
 @one_thread()
@@ -157,7 +157,7 @@ def _measured(values: np.ndarray) -> np.ndarray:
 
 def _window(count: int) -> np.ndarray:
     # of Hann's window: a line at m times the resolution disturbs another as m^-7
-    return np.asarray((1 - np.cos(2 * np.pi * np.arange(count) / (count - 1))) ** 3)
+    return (1 - np.cos(2 * np.pi * np.arange(count) / (count - 1))) ** 3
 
 
 def _lines(signals: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:

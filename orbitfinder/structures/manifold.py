@@ -106,19 +106,14 @@ def save_manifold(manifold: Manifold, path: str | Path) -> Path:
     """Write a manifold as JSON with its numbers beside it, .npz and .csv; returns the JSON's path."""
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(target.with_suffix(".csv"), _csv(manifold).encode())
-    return MANIFOLD.save(manifold, target)
-
-
-def _csv(manifold: Manifold) -> str:
-    """One row a point: curve, return, time, displacement, state."""
     head = ",".join(["curve", "return", "time", "displacement", *manifold.state_names])
     columns = zip(manifold.pieces, manifold.images, manifold.times, manifold.places, manifold.states, strict=True)
     rows = (
         ",".join([str(int(piece)), str(int(image)), *(repr(float(x)) for x in (time, place, *state))])
         for piece, image, time, place, state in columns
     )
-    return "\n".join([head, *rows]) + "\n"
+    write_atomically(target.with_suffix(".csv"), ("\n".join([head, *rows]) + "\n").encode())
+    return MANIFOLD.save(manifold, target)
 
 
 def load_manifold(path: str | Path) -> Manifold:

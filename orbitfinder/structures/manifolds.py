@@ -177,7 +177,7 @@ def _monodromy(
         extended = np.concatenate([state, np.eye(size).ravel()])[None]
         end = motions.passing(clock, extended, 1, longest=2 * period, sense=sense, times=moment).states[0, 0]
         total = end[size:].reshape(size, size, order="F") @ total
-    return np.asarray(total)
+    return total
 
 
 def _eigenpair(
@@ -337,7 +337,7 @@ class _Table:
 
     def places(self, shares: np.ndarray) -> np.ndarray:
         """Displacements of shares of the domain."""
-        return np.asarray(self.place * self.base.growth ** (shares - 1.0))
+        return self.place * self.base.growth ** (shares - 1.0)
 
     def add(self, shares: np.ndarray) -> None:
         """More points, in their order."""

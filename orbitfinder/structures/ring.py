@@ -47,7 +47,7 @@ def harmonics(count: int) -> np.ndarray:
 
 def coefficients(curve: np.ndarray) -> np.ndarray:
     """c_k (N x d) of X(theta) = sum_k c_k e^(i k theta), in the order of `harmonics`."""
-    return np.asarray(np.fft.fftshift(np.fft.fft(curve, axis=0), axes=0) / len(curve))
+    return np.fft.fftshift(np.fft.fft(curve, axis=0), axes=0) / len(curve)
 
 
 def at_angles(curve: np.ndarray, angles: np.ndarray, derivative: bool = False) -> np.ndarray:

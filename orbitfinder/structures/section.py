@@ -96,7 +96,7 @@ class Section(Shown):
         """<Y> of a motion after each of its returns."""
         steps = np.diff(self.growth[self.seeds == motion], prepend=0.0)
         n = np.arange(1, steps.size + 1)
-        return np.asarray(np.cumsum(2 / n * np.cumsum(n * steps)) / n)
+        return np.cumsum(2 / n * np.cumsum(n * steps)) / n
 
     @property
     def regular(self) -> np.ndarray:
@@ -106,7 +106,7 @@ class Section(Shown):
     @property
     def points(self) -> np.ndarray:
         """The crossings in the axes (k x 2)."""
-        return np.asarray(self.states[:, [self.state_names.index(name) for name in self.axes]])
+        return self.states[:, [self.state_names.index(name) for name in self.axes]]
 
     def _check(self) -> None:
         check_axes(self)

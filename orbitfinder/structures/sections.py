@@ -99,7 +99,7 @@ class Surface:
 
     def chart(self, states: np.ndarray) -> np.ndarray:
         """The axes' components (... x 2) of states, angles in [-pi, pi)."""
-        return np.asarray(wrapped(states, self.model.angular)[..., list(self.axes)])
+        return wrapped(states, self.model.angular)[..., list(self.axes)]
 
     def invariants(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the held invariants miss at states (k x m), and their gradients (k x m x d)."""
@@ -425,7 +425,7 @@ def _spread(count: int) -> np.ndarray:
     g^3 = g + 1.
     """
     g = 1.32471795724474602596
-    return np.asarray((0.5 + np.arange(1, count + 1)[:, None] / [g, g * g]) % 1.0)
+    return (0.5 + np.arange(1, count + 1)[:, None] / [g, g * g]) % 1.0
 
 
 def at_points(cut: Surface, base: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -464,7 +464,7 @@ def _rising(cut: Surface, states: np.ndarray) -> np.ndarray:
     if not len(states) or plane.component < 0:
         return np.ones(len(states), bool)
     rates = cut.motions.rates(np.zeros(len(states)), states)[:, plane.component]
-    return np.asarray(rates * (plane.direction or 1) > 0)
+    return rates * (plane.direction or 1) > 0
 
 
 def solved_component(cut: Surface) -> int:

@@ -165,7 +165,14 @@ def follow_tori(
     goals = tuple(sorted({*at, *(() if until is None else (until,))}))
     if asked == "rotation":
         for goal in goals:
-            _check_rotation(goal, chosen.most_states)
+            # which no torus has, or only one of periodic orbits
+            if not (np.isfinite(goal) and 0 < goal < 1):
+                raise InputError(f"rotation: {goal}; give turns a return, between 0 and 1")
+            if (near := resonance(goal, chosen.most_states)) is not None:
+                raise InputError(
+                    f"rotation: {goal!r} is resonant, {near[0]}/{near[1]}: such a torus is a ring of periodic orbits "
+                    f"of {near[1]} returns; give an irrational number, or follow the family past it"
+                )
     label = name or (f"{origin.name}-tori" if isinstance(origin, Orbit) else "tori")
     free = isinstance(origin, Torus)  # the tangent of its family points anywhere
     if isinstance(origin, Torus):
@@ -242,17 +249,6 @@ def _asked(model: Model, origin: Orbit | Torus, hold: str | None, parameter: str
     return "energy" if hold == "rotation" else "rotation"
 
 
-def _check_rotation(rotation: float, most: int) -> None:
-    """`InputError` for a rotation number that no torus has, or only one of periodic orbits."""
-    if not (np.isfinite(rotation) and 0 < rotation < 1):
-        raise InputError(f"rotation: {rotation}; give turns a return, between 0 and 1")
-    if (near := resonance(rotation, most)) is not None:
-        raise InputError(
-            f"rotation: {rotation!r} is resonant, {near[0]}/{near[1]}: such a torus is a ring of periodic orbits of "
-            f"{near[1]} returns; give an irrational number, or follow the family past it"
-        )
-
-
 def resonance(rotation: float, most: int) -> tuple[int, int] | None:
     """(p, q), q up to `most`, where a rotation number is p/q to within `RESONANCE` / q."""
     orders = np.arange(1, most + 1)
@@ -292,20 +288,8 @@ def _from_orbit(orbit: Orbit, model: Model, asked: str, mode: int) -> Guessed:
     w = equations.unknowns(orbit.state[None], orbit.period, np.linspace(0.0, 1.0, STEPS_PER_PERIOD + 1))
     path = equations.varied(w, states=True)
     units = extents_of(model, path.states, orbit.period)
-    angle, vector = _turning_pair(path.transitions[0], mode)
-    vector = vector / np.sqrt(np.mean(np.abs(vector / units) ** 2) * units.size / 2)
-    around = (np.exp(2j * np.pi * np.arange(FEWEST) / FEWEST)[:, None] * vector).real
-    held = (("energy", orbit.energy),) if model.conservative else ()
-    sizes = parameter_sizes(model, free, w.free)
-    direction = np.concatenate([around.ravel(), np.zeros(2 + w.free.size)])
-    still = Turned(np.tile(orbit.state, (FEWEST, 1)), orbit.period, angle, w.free)
-    guess = still.moved(0.01 * direction)
-    return Circle(equations, units, orbit.period / (2 * np.pi), sizes, held).confirmed(guess), guess, direction
-
-
-def _turning_pair(monodromy: np.ndarray, mode: int) -> tuple[float, np.ndarray]:
-    """The angle (rad) and the eigenvector of the chosen pair on the unit circle, slowest first. Raises `InputError`."""
-    multipliers, vectors = np.linalg.eig(monodromy)
+    # of the pairs on the unit circle, slowest first
+    multipliers, vectors = np.linalg.eig(path.transitions[0])
     if np.abs(multipliers).max() > 1e6:  # arcs would have to be shorter than a return
         raise InputError(
             f"origin: a multiplier of {np.abs(multipliers).max():.2g}; tori are not found around such orbits"
@@ -318,7 +302,15 @@ def _turning_pair(monodromy: np.ndarray, mode: int) -> tuple[float, np.ndarray]:
     if not 1 <= mode <= len(on):
         raise InputError(f"mode: {mode}; {len(on)} pairs of multipliers turn on the unit circle, give 1 to {len(on)}")
     chosen = sorted(on, key=lambda k: float(np.angle(multipliers[k])))[mode - 1]
-    return float(np.angle(multipliers[chosen])), vectors[:, chosen]
+    angle, vector = float(np.angle(multipliers[chosen])), vectors[:, chosen]
+    vector = vector / np.sqrt(np.mean(np.abs(vector / units) ** 2) * units.size / 2)
+    around = (np.exp(2j * np.pi * np.arange(FEWEST) / FEWEST)[:, None] * vector).real
+    held = (("energy", orbit.energy),) if model.conservative else ()
+    sizes = parameter_sizes(model, free, w.free)
+    direction = np.concatenate([around.ravel(), np.zeros(2 + w.free.size)])
+    still = Turned(np.tile(orbit.state, (FEWEST, 1)), orbit.period, angle, w.free)
+    guess = still.moved(0.01 * direction)
+    return Circle(equations, units, orbit.period / (2 * np.pi), sizes, held).confirmed(guess), guess, direction
 
 
 def _from_torus(torus: Torus, model: Model, asked: str) -> Guessed:
@@ -360,7 +352,7 @@ def crossed(torus: Torus, cut: Surface) -> np.ndarray:
     states = passing.states[passing.times <= torus.period * (1 + INVARIANT)]
     if not len(states):
         raise InputError(f"plane: the torus does not cross {cut.name}; choose another plane or direction")
-    return np.asarray(states)
+    return states
 
 
 def strip(curve: np.ndarray) -> float:
@@ -485,14 +477,18 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
     across = np.sqrt(np.maximum(0.0, 1.0 - (np.sum(along * flow, axis=1) / nonzero(norms)) ** 2))
     size = float((np.ptp(torus.curve, axis=0) / extents).max())
     near = resonance(torus.rotation, len(torus.curve))
+    # a curve is gone round as often as the greatest common divisor of the harmonics that are there
+    curve = torus.curve / extents
+    waves, sizes = np.abs(harmonics(len(curve))), np.abs(coefficients(curve)).max(axis=1)
+    there = waves[(waves > 0) & (sizes > 1e-6 * sizes[waves > 0].max())]
     checks = [
         at_most("invariance", missed, INVARIANT, "a return, between the curve's states, by another integrator"),
         at_most("returns", strayed, INVARIANT * RETURNS**2, f"{RETURNS} returns of one motion"),
-        at_most("series", unresolved(torus.curve / extents), 10 * RESOLVED, "the highest harmonics"),
+        at_most("series", unresolved(curve), 10 * RESOLVED, "the highest harmonics"),
         at_least("dimension", float(across.min()), 1e-6, "sine between curve and flow"),
         at_least("amplitude", size, 1e-6, "the curve in extents of the motion"),
         equal("resonance", near is not None, 0.0, "{}/{}".format(*near) if near else "none up to the number of states"),
-        at_most("once", float(_rounds(torus.curve / extents) - 1), 0.0, "the curve is gone round once"),
+        at_most("once", float((gcd(*map(int, there)) if there.size else 0) - 1), 0.0, "the curve is gone round once"),
     ]  # fmt: skip
     if own.conservative:
         checks.append(at_most("energy", _spread(own, starts, torus.energy), INVARIANT, "over the curve, relative"))
@@ -500,13 +496,6 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
         cycles = torus.period / float(own.forcing_period(own.parameter_values))  # type: ignore[misc]
         checks.append(at_most("forcing", abs(cycles - round(cycles)), INVARIANT, "a return is whole periods of it"))
     return replace(torus, certificate=Certificate(tuple(checks)))
-
-
-def _rounds(curve: np.ndarray) -> int:
-    """How often a curve is gone round: the greatest common divisor of the harmonics that are there."""
-    waves, sizes = np.abs(harmonics(len(curve))), np.abs(coefficients(curve)).max(axis=1)
-    there = waves[(waves > 0) & (sizes > 1e-6 * sizes[waves > 0].max())]
-    return gcd(*map(int, there)) if there.size else 0
 
 
 def _spread(model: Model, states: np.ndarray, energy: float) -> float:

@@ -104,11 +104,6 @@ class Series:
         )
 
 
-def most_harmonics(coordinates: int) -> int:
-    """The largest N for n coordinates."""
-    return max(FEWEST, MOST_UNKNOWNS // coordinates)
-
-
 def correct(series: Series, newton: Stepper, pin: PinRow, settings: Settings = NEWTON) -> tuple[Series, int] | None:
     """Newton's method from a prediction: the solution and its iterations, or None where it does not converge."""
 
@@ -161,7 +156,7 @@ def resolved(series: Series, newton: Stepper, pin: PinRow, tail: float) -> tuple
     """The solution with as many harmonics as its tail asks for (or the memory allows); iterations of the first."""
     solved = correct(series, newton, pin)
     first = None if solved is None else solved[1]
-    most = most_harmonics(series.coefficients.shape[1])
+    most = max(FEWEST, MOST_UNKNOWNS // series.coefficients.shape[1])
     while solved is not None and solved[0].tail > tail and len(solved[0].coefficients) < most:
         solved = correct(solved[0].padded(min(2 * len(solved[0].coefficients), most)), newton, pin)
     return None if solved is None or first is None else (solved[0], first)

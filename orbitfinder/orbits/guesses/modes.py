@@ -63,7 +63,7 @@ def resting_place(model: Model, energy: float) -> np.ndarray:
 
 def minima(model: Model) -> list[np.ndarray]:
     """Coordinates (n each) of minima of the potential, met going down from places about q = 0."""
-    reach, random = reach_of(model), np.random.default_rng(0)
+    reach, random = np.where(model.angular, np.pi, 2.0 * given_or(model, 1.0)), np.random.default_rng(0)
     ends = [newton.descended(_potential(model), reach * random.uniform(-1, 1, reach.size)) for _ in range(16)]
     # a potential without a floor leads away from every minimum
     return [q for q, _, slope in ends if np.all(np.abs(q) < 4 * reach) and slope < FLAT]
@@ -72,11 +72,6 @@ def minima(model: Model) -> list[np.ndarray]:
 def _potential(model: Model) -> Callable[[np.ndarray], float]:
     """V(q) (J) at the model's own parameters."""
     return lambda q: float(model.potential(q, model.parameter_values))
-
-
-def reach_of(model: Model) -> np.ndarray:
-    """How far (n) from an equilibrium positions are drawn: half a turn, or twice the length given, else 2."""
-    return np.asarray(np.where(model.angular, np.pi, 2.0 * given_or(model, 1.0)))
 
 
 def equilibrium(model: Model) -> np.ndarray:

@@ -69,14 +69,18 @@ def close_returns(
     span = times[-1] - times[0]
     lags = np.arange(1, int(min(longest or span / 2, span / 2) / step) + 1)
     starts = len(times) - lags[-1]
-    table = np.stack([_distance(states[lag : lag + starts], states[:starts], extent, wrapping) for lag in lags])
+    apart = (wrapped(states[lag : lag + starts] - states[:starts], wrapping) for lag in lags)
+    table = np.stack([np.abs(each / extent).max(axis=1) for each in apart])
     returns: list[CloseReturn] = []
     rows, columns = _local_minima(table)
     for k in np.argsort(table[rows, columns]):
         row, column = int(rows[k]), int(columns[k])
         if table[: row + 1, column].max() < max(RETURNS.away, 3 * table[row, column]):
             continue
-        back = _close_return(times, states, column, lags[row] * step, float(table[row, column]))
+        period = lags[row] * step
+        lap = slice(column, column + round(period / float(times[1] - times[0])) + 1)
+        guess = Guess(states[column], period, times[lap] - times[column], states[lap])
+        back = CloseReturn(states[column], period, float(table[row, column]), float(times[column] - times[0]), guess)
         if all(abs(back.period / other.period - 1) > RETURNS.same_period for other in returns):
             returns.append(back)
         if len(returns) == count:
@@ -211,10 +215,6 @@ def _regular(times: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndar
     return grid, np.stack([np.interp(grid, times, column) for column in states.T], axis=1)
 
 
-def _distance(after: np.ndarray, before: np.ndarray, extent: np.ndarray, wrapping: np.ndarray) -> np.ndarray:
-    return np.asarray(np.abs(wrapped(after - before, wrapping) / extent).max(axis=1))
-
-
 def _local_minima(table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of entries that are not above their neighbours in the row's direction."""
     inner = table[1:-1]
@@ -228,10 +228,3 @@ def _on_the_beat(back: CloseReturn, times: np.ndarray, states: np.ndarray, clock
     moment = float(np.ceil(back.time / clock) * clock)
     state = np.array([np.interp(moment, times, column) for column in states.T])
     return CloseReturn(state, period, back.distance, moment, Guess(state, period))
-
-
-def _close_return(times: np.ndarray, states: np.ndarray, start: int, period: float, distance: float) -> CloseReturn:
-    last = start + round(period / float(times[1] - times[0]))
-    lap = slice(start, last + 1)
-    guess = Guess(states[start], period, times[lap] - times[start], states[lap])
-    return CloseReturn(states[start], period, distance, float(times[start] - times[0]), guess)

@@ -47,7 +47,7 @@ def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarra
 
     def rate(t: float, x: np.ndarray) -> np.ndarray:
         limit.check()
-        return np.asarray(field(t, x * size) / size)
+        return field(t, x * size) / size
 
     def steepness(t: float, x: np.ndarray) -> np.ndarray:  # without it, a stiff field is taken for none
         return np.asarray(slopes(t, x * size)) * size / size[:, None]
