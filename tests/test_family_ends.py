@@ -276,7 +276,7 @@ def test_the_direction_towards_a_target():
     point = type("Point", (), {"value": 2.0})()
     away = FamilySettings(parameter="p", directions="away")
     for until, sign in ((3.0, 1), (1.5, -1), (0.5, 1), (None, 1)):
-        assert [one[0] for one in directions(point, away, (until, ()), 1, 1.0)] == [sign]
+        assert [one[0] for one in directions(point.value, away, (until, ()), 1, 1.0)] == [sign]
 
 
 def test_an_equilibrium_solved_for_in_a_parameter():

@@ -69,8 +69,11 @@ def held(path: Path, timeout: float = 0.0) -> Iterator[bool]:
 
 
 @contextlib.contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
-    """A folder (made if need be) to this process alone; `InputError` when another process has it."""
+def alone_in(folder: Path | None) -> Iterator[None]:
+    """A folder (made if need be; None: none) to this process alone; `InputError` when another process has it."""
+    if folder is None:
+        yield
+        return
     folder.mkdir(parents=True, exist_ok=True)
     with held(folder / ".lock") as alone:
         if not alone:

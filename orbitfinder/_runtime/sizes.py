@@ -6,6 +6,8 @@ from typing import TypeVar
 
 import numpy as np
 
+EPSILON = float(np.finfo(float).eps)
+"""Relative round-off of a number"""
 LEAST = 1e-300
 """What stands for a size that is 0, beside which every difference is large and no difference is none"""
 

@@ -1,7 +1,7 @@
 """Following anything, one step after another; and pseudo-arclength continuation of anything that is F(w) = 0.
 
 `walked` is the driver of everything that is followed: it asks a `Walk` for steps, halves those that fail, and ends.
-`follow` is the walk along a `ContinuationProblem`: predict, correct, step on, locate what is asked. Source: H. B.
+`follow` is the walk along a continuation problem: predict, correct, step on, locate what is asked. Source: H. B.
 Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems, in Applications of Bifurcation Theory
 (1977). `reached` is the walk straight to a value of natural parameters, of what goes round no folds. Nothing here knows
 what is followed.
@@ -430,7 +430,7 @@ def follow(
 
 @dataclass(frozen=True, eq=False)
 class _Arclength:
-    """The walk along the solutions of a `ContinuationProblem`, of which a trace holds all."""
+    """The walk along the solutions of a continuation problem, of which a trace holds all."""
 
     trace: CurveJournal
     goals: Goals

@@ -6,7 +6,18 @@ A problem says its rows, what they change by, and what lengths along its solutio
 
 Where a symmetry moves solutions among themselves its phases are fixed, to those of the guess. One aim more closes it:
 a plane across the tangent, or a quantity that has a value. Unknowns may have any units, of which the metric makes
-lengths; rows are compared with 1.
+lengths; rows are compared with 1. A continuation problem has, for unknowns w with their numbers `vector` and
+`moved(step)`,
+
+    settings                  of the corrector; `converged` is the largest row of a solution
+    rows(w)                   F(w); raises `IntegrationError` or `ConvergenceError` where there is none
+    linearise(w)              F(w) and its `Linear` derivatives, by one march where there is one
+    phases(w)                 directions (k x w) that are kept across the symmetries at w
+    metric(w)                 m over w, 0 for given entries
+    value(w, name)            a quantity by name, which may be followed in or asked for
+    aim(w, name, value)       how far a quantity is from a value, and the row of its derivatives over w
+    at(w, tangent)            itself with the mesh and the scales of an accepted w, and w and its tangent there
+    carried(w, onto)          w on the mesh of another
 """
 
 from __future__ import annotations
@@ -15,12 +26,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.mechanics.newton import Settings, Solver, chord
+from orbitfinder.mechanics.newton import Solver, chord
 
 
 class Linear(Protocol):
@@ -31,37 +42,6 @@ class Linear(Protocol):
 
         Raises `ConvergenceError` where all is singular.
         """
-
-
-class ContinuationProblem(Protocol):
-    """F(w) = 0, one equation fewer than unknowns; any w has `vector`, its numbers, and `moved(step)`."""
-
-    settings: Settings
-    """of the corrector; `converged` is the largest row of a solution"""
-
-    def rows(self, w: Any) -> np.ndarray:
-        """F(w). Raises `IntegrationError` or `ConvergenceError` where there is none."""
-
-    def linearise(self, w: Any) -> tuple[np.ndarray, Linear]:
-        """F(w) and its derivatives, by one march where there is one."""
-
-    def phases(self, w: Any) -> np.ndarray:
-        """What is kept across the symmetries at w (k x w)."""
-
-    def metric(self, w: Any) -> np.ndarray:
-        """m over w, 0 of what is given."""
-
-    def value(self, w: Any, name: str) -> float:
-        """A quantity by name: what may be followed in, and asked for."""
-
-    def aim(self, w: Any, name: str, value: float) -> tuple[float, np.ndarray]:
-        """How far a quantity is from a value, and what that changes by over w."""
-
-    def at(self, w: Any, tangent: np.ndarray) -> tuple[Self, Any, np.ndarray]:
-        """Itself with the mesh and the scales of an accepted w, and w and its tangent there."""
-
-    def carried(self, w: Any, onto: Any) -> Any:
-        """w on the mesh of another."""
 
 
 @dataclass(eq=False)  # not frozen, which makes it in three times the time

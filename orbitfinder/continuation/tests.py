@@ -22,10 +22,10 @@ import numpy as np
 from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
 
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import EPSILON, nonzero
 from orbitfinder.errors import ConvergenceError
 
-SIMPLE, DEEPEST, MOST = float(np.finfo(float).eps), 24, 200
+SIMPLE, DEEPEST, MOST = EPSILON, 24, 200
 """y x of vectors of a simple root is larger; so often an interval is divided, and so many places looked at"""
 ALTERNATIVE, DOUBT = 2.0, 4.0
 """A match that costs up to so many times as much counts as possible; a cubic is wrong by so many times what its parent

@@ -10,18 +10,19 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from orbitfinder._runtime import interrupt, locks
 from orbitfinder._runtime.keeping import STOPPED
+from orbitfinder._runtime.sizes import EPSILON
 from orbitfinder.continuation.follow import (
     CurveJournal,
     Goals,
@@ -37,6 +38,7 @@ from orbitfinder.continuation.problem import Point
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.entries import KINDS
 from orbitfinder.families.events import event_at, find_events
+from orbitfinder.families.folder import directions
 from orbitfinder.families.members import batch_certified, certified, series
 from orbitfinder.families.point import FamilySettings, make_point
 from orbitfinder.families.run import Sample, ahead, make_interval, make_sample
@@ -121,9 +123,12 @@ def followed(
     own = (_Marched if few and exponents(first.problem, first.w).whole else _Large)(
         problem, settings, name, watches(watch, problem.model), first
     )
-    ways = _ways(first, settings, until, at)
-    runs = [_Direction(own, sign, Goals(parameter, goal, exact), first) for sign, goal, exact in ways]
-    with nullcontext() if folder is None else locks.alone_in(folder):
+    start, wanted = first.value(parameter), tuple(map(float, at))
+    ways = directions(start, settings, (until, wanted))
+    runs = [_Direction(own, float(sign), Goals(parameter, goal, wanted), first) for sign, goal, _ in ways]
+    if not runs:
+        raise InputError(f"until, at: {parameter} begins at {start!r} and none of these lies beyond; give other values")
+    with locks.alone_in(folder):
         for k, run in enumerate(runs):
             path = folder and folder / f"balance{k or ''}.jsonl"
             request = {**asked[0], "method": NAME, "way": [run.sign, run.goals.until is None]}
@@ -136,40 +141,10 @@ def followed(
     return family
 
 
-def _ways(
-    first: Point, settings: FamilySettings, until: float | None, at: Sequence[float]
-) -> Iterator[tuple[float, float | None, tuple[float, ...]]]:
-    """Signs of the first change of the parameter, ends and values of the directions that are gone in."""
-    start, wanted = first.value(settings.parameter), tuple(map(float, at))
-    signs = {"both": (1.0, -1.0), "forward": (1.0,), "backward": (-1.0,), "away": (1.0,)}.get(settings.directions)
-    if signs is None:
-        raise InputError(f"directions: must be both, forward, backward or away, got {settings.directions!r}")
-    if until is not None and settings.directions == "both":
-        signs = (1.0 if until > start else -1.0,)
-    elif wanted and settings.directions == "both":
-        yield from ((sign, last, wanted) for sign in signs
-                    for last in [max(wanted, key=lambda value: sign * value)] if sign * (last - start) > 0)  # fmt: skip
-        return
-    yield from ((sign, until, wanted) for sign in signs)
-
-
-class Recorder(Protocol):
-    """How points in harmonics become members of a family, and what happens between two of them."""
+class _Marched:
+    """Orbits of few coordinates, on the equations of shooting."""
 
     undecided: tuple[str, ...] = ()
-
-    def tests(self) -> Mapping[str, Callable[[Point], float]]:
-        """What is located in harmonics."""
-
-    def point(self, point: Point, **where: Any) -> FamilyPoint:
-        """The record of a motion. Raises `ConvergenceError` where it does not close by an independent integrator."""
-
-    def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:
-        """What happens in a step, of which some was `seen` in harmonics, each with its check."""
-
-
-class _Marched(Recorder):
-    """Orbits of few coordinates, on the equations of shooting."""
 
     def __init__(
         self, problem: Problem, settings: FamilySettings, name: str, watch: Mapping[str, Watch], first: Point
@@ -237,8 +212,10 @@ class _Marched(Recorder):
         return certified(self.curve, point)
 
 
-class _Large(Recorder):
+class _Large:
     """Orbits of many coordinates, or stiff ones, by their series alone."""
+
+    undecided: tuple[str, ...] = ()
 
     def __init__(
         self, problem: Problem, settings: FamilySettings, name: str, watch: Mapping[str, Watch], first: Point
@@ -356,7 +333,7 @@ class _Large(Recorder):
 
     def _lost(self, point: Point) -> float:
         """What the next orders and round-off make of the parameter of a motion."""
-        left = max(point.problem.left(point.w)[0], float(np.finfo(float).eps))
+        left = max(point.problem.left(point.w)[0], EPSILON)
         return float(ROUNDS * left * abs(point.value(self.parameter)))
 
     def _known(self, point: Point, before: Point, after: Point, edge: float) -> float:
@@ -433,13 +410,13 @@ def reverified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
 def _end_again(end: End, values: np.ndarray, size: float) -> Check:
     """What is asked for is met at the first or the last point; of other ends nothing is solved for."""
     if fault := end_fault(end, ()):
-        return unsound(end.kind, fault, float("nan"))
+        return unsound(end.kind, fault, np.nan)
     if not end_kind(end.kind).asked:
         return skipped(end.kind, "nothing was solved for")
     try:
         wanted = float(end.reason.rpartition("=")[2])
     except ValueError as error:
-        return unsound(end.kind, f"reason: {error}", float("nan"))
+        return unsound(end.kind, f"reason: {error}", np.nan)
     return at_most(end.kind, float(np.abs(values - wanted).min()), ROUNDED * size, end.reason)
 
 
@@ -466,7 +443,7 @@ def _again(family: Family, check: ImplicitCheck, event: Event) -> Check:
             first, second = np.sort(np.abs(seen.floquet.indices - mu - 1.0 / mu))[:2]
             off = float(first if abs(mu.imag) <= AGAIN else first * second) + abs(abs(mu) - 1.0)
     except (ConvergenceError, IntegrationError, IndexError, ValueError) as error:
-        return unsound(event.kind, error, float("nan"))
+        return unsound(event.kind, error, np.nan)
     return at_most(event.kind, off, AGAIN, event.detail)
 
 

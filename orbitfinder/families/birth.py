@@ -50,7 +50,7 @@ def cycle_start(
     model = with_parameters(model or build_model(equilibria.system), {name: born.parameter})
     unknown_parameters(model, replace(settings, parameter=name))
     start = _first(model, name, born, settings.method)
-    return start, Event(born.kind, number, born.arclength, born.parameter, born.state, born.period, float("nan"))
+    return start, Event(born.kind, number, born.arclength, born.parameter, born.state, born.period, np.nan)
 
 
 def mode_start(

@@ -339,8 +339,7 @@ def diagram(
         _refuse_less(earlier, empty)
     settings = FamilySettings(parameter=parameter, directions="away", points=points, longest_step=STEP, method=method)
     tree = _Tree(empty, model, settings, None if out is None else Path(out) / name, progress or (lambda curve: None))
-    alone = contextlib.nullcontext() if tree.folder is None else locks.alone_in(tree.folder)
-    with (alone, limited(limit), scheduler_at(scheduler, "diagram", folder) as far,
+    with (locks.alone_in(tree.folder), limited(limit), scheduler_at(scheduler, "diagram", folder) as far,
           tasks.crew(journals, workers, "diagram", far) as answers):  # fmt: skip
         if workers > 1 or far is not None:
             build_model(model.system, None if folder is None else Path(folder))  # or nobody else can

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -164,7 +163,7 @@ def gone(
     goals, runs = Goals(ways[0].parameter, ways[0].until, tuple(map(float, at))), list[tuple[SolutionCurve, Way]]()
     path = None if out is None else Path(out) / called[0]
     record = partial(_record, called, curve or {}, runs)
-    with contextlib.nullcontext() if path is None else locks.alone_in(path):
+    with locks.alone_in(path):
         for k, way in enumerate(ways):
             runs.append((run := SolutionCurve(), way))
             file = path and path / f"equilibria{k or ''}.jsonl"
@@ -209,16 +208,17 @@ class Way:
         """The first point."""
         if self.direction is not None:
             return self._beside(self.direction)
-        model = self.problem.jets.model
-        start = float(model.parameter_values[model.parameter_index(self.parameter)])
+        start = float(self.problem.jets.model.values_of([self.parameter])[0])
         w = Stacked(np.append(self.rest, start))
         point = solved(self.problem, w, lambda w: self.problem.aim(w, self.parameter, start))
         return replace(point, tangent=point.tangent * self.sign * towards(point, self.parameter, self.until))
 
     def _beside(self, direction: np.ndarray) -> Point:
         """The first point of a branch, so far from where it leaves."""
-        model, d = self.problem.jets.model, self.problem.jets.size
-        w = Stacked(np.append(self.rest, model.parameter_values[model.parameter_index(self.parameter)]))
+        d, w = (
+            self.problem.jets.size,
+            Stacked(np.append(self.rest, self.problem.jets.model.values_of([self.parameter]))),
+        )
         along = np.concatenate([direction[:d], np.zeros(self.problem.jets.extra), direction[d:]]) * self.sign
         along = along / np.sqrt(float(along @ (self.problem.metric(w) * along)))
         for length in LEAVING:
@@ -244,8 +244,7 @@ class Way:
     @cached_property
     def paired(self) -> bool:
         """Whether eigenvalues come in pairs +-lambda."""
-        model, names = self.problem.jets.model, self.judge.parameters
-        values = [model.parameter_values[model.parameter_index(name)] for name in names]
+        values = self.problem.jets.model.values_of(self.judge.parameters)
         return paired(self.problem, Stacked(np.append(self.rest, values)))
 
     def spectrum(self, point: Point) -> Roots:

@@ -46,7 +46,7 @@ class Equilibrium(Shown):
     eigenvalues: Complexes
     stability: str
     arclength: float = 0.0
-    residual: Unknown = float("nan")
+    residual: Unknown = np.nan
     certified: bool = False
     kind: str = ""
     values: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -101,11 +101,11 @@ class RestEvent(Shown):
     state: np.ndarray
     eigenvalues: Complexes
     check: Reading | None = None
-    frequency: Unknown = float("nan")
-    period: Unknown = float("nan")
-    period_error: Unknown = float("nan")
-    lyapunov: Unknown = float("nan")
-    lyapunov_error: Unknown = float("nan")
+    frequency: Unknown = np.nan
+    period: Unknown = np.nan
+    period_error: Unknown = np.nan
+    lyapunov: Unknown = np.nan
+    lyapunov_error: Unknown = np.nan
     criticality: str = ""
     critical: complex = 0.0 + 0.0j
     direction: np.ndarray = field(default_factory=lambda: np.zeros(0))

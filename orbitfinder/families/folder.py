@@ -139,12 +139,11 @@ def follow_family(
     watch, stop = _watched(origin, watch), stop or {}
     check_stop(stop, watch)
     request, source = _request(origin, settings, at, watch)
-    # the method that is asked for, where no march follows
     by = (settings.method or method_of(origin)) if isinstance(origin, Orbit | Problem) else None
-    if by and (follow_by := named(by).follow):
+    if by and (follow_by := named(by).follow):  # where no march does
         asked, wanted = (request, source), (until, at, bool(stop or between))
         return follow_by(as_problem(cast(Any, origin), model), settings, wanted, label, folder, asked, watch, progress)
-    with contextlib.nullcontext() if folder is None else locks.alone_in(folder):
+    with locks.alone_in(folder):
         journal = None if folder is None else _kept(folder, request)
         born = origin.event.parameter if isinstance(origin, Branch) and isinstance(origin.number, int) else None
         if journal is None:
@@ -166,7 +165,7 @@ def follow_family(
         curve, check = in_scales(curve, journal.origin), _independent(curve, settings)
         runs = [
             Run(curve, settings, sign, journal.origin, check, value, exact, stop, between or ())
-            for sign, value, exact in directions(journal.origin, settings, goals, away, born)
+            for sign, value, exact in directions(journal.origin.value, settings, goals, away, born)
         ]
         if folder is not None:
             journal = _reopened(folder, journal, {run.direction: run.goals for run in runs})
@@ -392,7 +391,7 @@ def _header(
 
 
 def directions(
-    origin: FamilyPoint,
+    start: float,
     settings: FamilySettings,
     goals: tuple[float | None, tuple[float, ...]],
     away: int = 1,
@@ -404,12 +403,12 @@ def directions(
     """  # fmt: skip
     until, at = goals
     if settings.directions == "away" and until is not None and born is not None:
-        if (until - born) * (until - origin.value) < 0:
+        if (until - born) * (until - start) < 0:
             away = -away
-        elif (until - origin.value) * (origin.value - born) < 0:
+        elif (until - start) * (start - born) < 0:
             logging.getLogger(__name__).warning(
                 "until: %r lies behind the branch, which is born at %s %.9g and begins at %.9g",
-                until, settings.parameter, born, origin.value,
+                until, settings.parameter, born, start,
             )  # fmt: skip
     if settings.directions != "both" or (until is None and not at):
         signs = {"both": (1, -1), "forward": (1,), "backward": (-1,), "away": (away,)}.get(settings.directions)
@@ -418,8 +417,8 @@ def directions(
         yield from ((sign, until, at) for sign in signs)
         return
     for sign in (1, -1):
-        wanted = [value for value in at if sign * (value - origin.value) > 0]
-        if until is not None and sign * (until - origin.value) > 0:
+        wanted = [value for value in at if sign * (value - start) > 0]
+        if until is not None and sign * (until - start) > 0:
             inside = tuple(value for value in wanted if sign * (until - value) > 0)
             yield sign, until, inside
         elif wanted and until is None:

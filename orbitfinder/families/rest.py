@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import EPSILON, nonzero
 from orbitfinder.families.point import parameter_value
 from orbitfinder.families.run import Sample
 from orbitfinder.loops.continued import Curve, Solution, advanced
@@ -30,7 +30,7 @@ DIFFERENCE = 1e-5
 """Half of a central difference of slopes, in the units of the unknowns: only rates of convergence depend on it."""
 CHECKED = 1e-7
 """and an eigenvalue of J is then this near to i omega, relative to it."""
-ROUND_OFF = 8 * float(np.finfo(float).eps)
+ROUND_OFF = 8 * EPSILON
 """What each row is known to, relative to the sizes of its terms"""
 
 

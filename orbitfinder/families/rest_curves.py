@@ -351,7 +351,7 @@ def _start(
     equilibria: Equilibria, event: RestEvent, names: tuple[str, str], until: float | None, model: Model
 ) -> Point:  # fmt: skip
     """The event as the first point of its curve, along which the parameter that is not the equilibria's grows."""
-    values = np.array([model.parameter_values[model.parameter_index(name)] for name in names])
+    values = model.values_of(names)
     problem = equations.regular(at_rest(model, names, event.state), event.state, values)
     beside, d = equilibria.points[max(event.index - NEAR, 0) : event.index + NEAR + 2], problem.jets.size
     pace = size_of(np.concatenate([event.eigenvalues, *(point.eigenvalues for point in beside)]))

@@ -23,7 +23,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import EPSILON, nonzero
 from orbitfinder.continuation.tests import Roots, decomposed, felt
 from orbitfinder.errors import ConvergenceError, DomainError
 from orbitfinder.integrate.jets import Jets
@@ -39,7 +39,7 @@ SETTINGS, SQUARE = (
 AHEAD, UNDAMPED = 1.25, 1e-7
 """Sizes that are outgrown become so much larger than what outgrew them. Real parts below this
 share of the largest eigenvalue are none, imaginary ones the round-off of a double 0"""
-ROUND_OFF = 4 * float(np.finfo(float).eps)
+ROUND_OFF = 4 * EPSILON
 """What each row is known to, relative to the sizes of its terms"""
 SIMPLE, DISTURBED, BESIDE, CORRECTED = 1e-9, 1e-8, 1e-5, 10.0
 """y x of a simple eigenvalue is larger; how far apart places are, in sizes, that say what slopes change by within error
@@ -133,26 +133,12 @@ class AtRest:
     @cached_property
     def row_sizes(self) -> np.ndarray:
         """What G is measured in: sizes of the state a unit of time, and what the rest changes by at unit steps."""
-        return np.concatenate([self.z_sizes[: self.jets.size] * self.pace, self.kept_sizes])
-
-    @cached_property
-    def kept_sizes(self) -> np.ndarray:
-        """What rows behind the rates are measured in."""
-        d = self.jets.size
-        if not self.jets.extra:
-            return np.zeros(0)
-        z = np.concatenate([self.origin, np.zeros(self.jets.extra)])
-        by_z = self.jets.first(z, self.jets.model.parameter_values[self._free], self.kept)[1 : 1 + z.size].T[d:]
-        return nonzero(np.abs(by_z * self.z_sizes).max(axis=1, initial=0.0))
-
-    @property
-    def _free(self) -> list[int]:
-        return [self.jets.model.parameter_index(name) for name in self.jets.free]
-
-    @cached_property
-    def row_sizes_square(self) -> np.ndarray:
-        """The same with those of the phases."""
-        return np.append(self.row_sizes, np.ones(len(self.phase)))
+        jets, d, rates = self.jets, self.jets.size, self.z_sizes[: self.jets.size] * self.pace
+        if not jets.extra:
+            return rates
+        z = np.concatenate([self.origin, np.zeros(jets.extra)])
+        by_z = jets.first(z, jets.model.values_of(jets.free), self.kept)[1 : 1 + z.size].T[d:]
+        return np.concatenate([rates, nonzero(np.abs(by_z * self.z_sizes).max(axis=1, initial=0.0))])
 
     def moving(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
         """What each parameter changes by where the state moves by its sizes."""
@@ -550,7 +536,8 @@ def lyapunov(
     l1 = Re [<p, C(q, q, q*)> - 2 <p, B(q, A^-1 B(q, q*))> + <p, B(q*, (2 i omega - A)^-1 B(q, q))>] / 2 omega.
     """
     d, gz, mass = problem.jets.size, problem.scaled(z, p)[1], np.diag(problem.mass)
-    units, rows, turn = problem.z_sizes, problem.row_sizes_square, 1j * omega / problem.pace
+    units, turn = problem.z_sizes, 1j * omega / problem.pace
+    rows = np.append(problem.row_sizes, np.ones(len(problem.phase)))
     q, weight = units * nearest(gz, problem.mass, turn), nearest(gz.T, problem.mass, turn).conj() / rows
     q = q / np.linalg.norm(q[:d])
     weight = weight / np.conj(weight.conj() @ (mass @ q))

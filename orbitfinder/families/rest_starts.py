@@ -52,7 +52,7 @@ def first_equilibrium(
     for simulated in (False, True):
         start = _rested(model, state) if simulated else state
         jets = at_rest(model, (parameter,), start)
-        value = np.array([model.parameter_values[model.parameter_index(parameter)]])
+        value = model.values_of([parameter])
         problem = regular(jets, start, value, None if span is None else np.array([span])).seen(state, value)
         z = _newton(problem, start, value)
         if z is not None:
@@ -137,7 +137,7 @@ def find_equilibria(
     if starts < 1:
         raise InputError(f"starts: must be at least 1, got {starts}; take 100")
     low, high = _sides(model, box)
-    centre, value = (low + high) / 2, model.parameter_values[[model.parameter_index(parameter)]]
+    centre, value = (low + high) / 2, model.values_of([parameter])
     jets = at_rest(model, (parameter,), centre) if model.rates is None else Jets(model, (parameter,))
     problem, random, judge = regular(jets, centre, value), np.random.default_rng(seed), Judge(model, (parameter,))
     sizes = problem.z_sizes.copy()

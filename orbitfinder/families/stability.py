@@ -11,7 +11,7 @@ from math import gcd
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from orbitfinder._runtime.sizes import LEAST, nonzero
+from orbitfinder._runtime.sizes import EPSILON, LEAST, nonzero
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.march import QUANTUM, Gridded
 from orbitfinder.loops.continued import Curve, Solution
@@ -109,7 +109,7 @@ class Spectrum:
         """What is uncertain in every stability index: round-off in the largest multiplier, relative of a chain."""
         if self.chain is not None:
             return float(self.root_errors.max(initial=0.0))
-        return float(np.finfo(float).eps * np.abs(self.floquet.multipliers).max(initial=1.0))
+        return float(EPSILON * np.abs(self.floquet.multipliers).max(initial=1.0))
 
 
 @dataclass(frozen=True)

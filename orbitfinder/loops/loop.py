@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.caches import Kept, Same
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import EPSILON, nonzero
 from orbitfinder.integrate.compiled import mode
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.march import Gridded, March, Marches, Varied
@@ -40,10 +40,9 @@ from orbitfinder.records.orbit import SHARE
 _marches = Kept[March](16)
 _equations = Kept["Equations"](16)
 NO_GUARDS = np.zeros(0)
-GRAZED = 1e-30
-"""A guard's rate at least, by which what grazes it is multiplied"""
-ROUND_OFF = float(np.finfo(float).eps)
-"""What a sum is known to, relative to the sizes of its terms."""
+GRAZED, ROUND_OFF = 1e-30, EPSILON
+"""A guard's rate at least, by which what grazes it is multiplied; and what a sum is known to, relative to the sizes of
+its terms"""
 
 
 @dataclass(frozen=True)
@@ -298,7 +297,7 @@ class Equations:
     @property
     def numbers(self) -> np.ndarray:
         """The model's own values of the freed parameters."""
-        return self.model.parameter_values[[self.model.parameter_index(name) for name in self.free]]
+        return self.model.values_of(self.free)
 
     def unknowns(self, nodes: np.ndarray, period: float, mesh: np.ndarray, free: np.ndarray | None = None) -> Unknowns:
         """w without unfolding, the freed parameters at their own values."""

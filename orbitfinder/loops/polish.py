@@ -30,7 +30,7 @@ MOST_PIECES = 2000
 
 def tail_of(flow: Flow, unfolding: np.ndarray | None = None, free: np.ndarray | None = None) -> np.ndarray:
     """The last arguments of the flow's field: unfolding (0) and freed parameters (the model's own)."""
-    known = flow.model.parameter_values[[flow.model.parameter_index(name) for name in flow.free]]
+    known = flow.model.values_of(flow.free)
     return np.concatenate([np.zeros(len(flow.unfolded)) if unfolding is None else unfolding,
                            known if free is None else free])  # fmt: skip
 

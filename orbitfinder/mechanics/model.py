@@ -418,6 +418,10 @@ class Model(Shown):
             raise InputError(f"free: unknown physical parameter {name!r}; this system has {known}")
         return self.parameter_names.index(name)
 
+    def values_of(self, names: Sequence[str]) -> np.ndarray:
+        """A copy of the values of physical parameters by name."""
+        return self.parameter_values[[self.parameter_index(name) for name in names]]
+
     def state_index(self, name: str) -> int:
         """Position of a state component; `InputError` names the known ones."""
         if name not in self.state_names:

@@ -191,7 +191,7 @@ def _retaken(trace: Trace, k: int, begin: float, end: float, longest: float) -> 
                 now = integrate(lambda t, x: trace.rates(np.array([t]), x[None])[0], now, np.array([low, high]),
                                 longest_step=most)[-1]  # fmt: skip
             except IntegrationError:
-                return float("inf")
+                return np.inf
     there = trace.states[k + 1]
     return float((np.abs(now - there) / np.maximum(1.0, np.abs(there))).max())
 

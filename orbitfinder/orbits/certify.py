@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime.rooms import filled
-from orbitfinder._runtime.sizes import LEAST, nonzero, size_of
+from orbitfinder._runtime.sizes import EPSILON, LEAST, nonzero, size_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.automaton import Arc
 from orbitfinder.integrate.dop853 import integrate_in
@@ -24,7 +24,7 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Invariant, Model, between, counted, energies, wrapped
 from orbitfinder.mechanics.scales import extents
 from orbitfinder.orbits.between import early_return, overlooked
-from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, shift, shift_along
+from orbitfinder.orbits.closure import LARGEST_SCALE, ROUND_OFF, shift, shift_along
 from orbitfinder.orbits.evidence import (
     VARIED,
     Evidence,
@@ -77,7 +77,7 @@ EXACT = 1e-10
 """Relative difference of the accelerations between two moments that should be alike."""
 DRIFT = 1e-9
 """Drift of an invariant along the motion, relative to how much it varies about it."""
-ROUNDED = 64 * float(np.finfo(float).eps)
+ROUNDED = 64 * EPSILON
 """Relative error of an invariant's value."""
 STEEPEST, HALVINGS, BESIDE, JUMP = 32, 30, 1e-6, 1e-4
 """Pairs of samples between which a jump is looked for, halvings of their time, how far beside the motion (in extents)
@@ -163,7 +163,7 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
     turns = _turns(orbit, model)
     turned(model, turns, orbit.shift)
     if fault := _malformed(orbit):
-        return orbit, Certificate((refused("finite", fault, float("nan")),))
+        return orbit, Certificate((refused("finite", fault, np.nan),))
     verifier = verifier_of(orbit, model)
     if fault := incomputable(orbit.state, orbit.period):
         return orbit, Certificate((refused(verifier.missing, f"{fault}; find the orbit again"),))
@@ -643,7 +643,7 @@ def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
     """
     recorded, found = orbit.floquet_multipliers, floquet.multipliers
     if recorded.size != found.size and not (recorded.size < found.size and orbit.state.size > 2 * SMALL):
-        return float("inf")
+        return np.inf
     if not recorded.size:
         return 0.0
     largest = np.abs(found).max()

@@ -26,12 +26,11 @@ from itertools import accumulate
 
 import numpy as np
 
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import EPSILON, nonzero
 from orbitfinder.loops.symmetry import shifts_of
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.floquet import complement
 
-EPSILON = float(np.finfo(float).eps)
 LARGEST_SCALE = 1e6
 """Tolerances grow with A up to this factor; beyond, closure would mean nothing."""
 REACHES = 1e-3
@@ -93,7 +92,7 @@ def _late(gap: np.ndarray, carried: tuple[np.ndarray, float], rate: np.ndarray, 
         np.column_stack([monodromy - np.eye(gap.size), rate]), np.column_stack([rows, np.zeros(len(rows))]),
     ])  # fmt: skip
     if not np.isfinite(bordered).all():
-        return float("inf")
+        return np.inf
     row = np.linalg.pinv(bordered)[-1, : gap.size]
     return float(np.abs(row) @ (np.abs(gap) + ROUND_OFF * EPSILON * grown))
 
@@ -146,7 +145,7 @@ def distance(
     grown = carried(transitions, np.ones(size.size))[1]
     columns = np.column_stack([first + last @ later[-1], *([] if late is None else [last @ late])])
     if not (np.isfinite(grown) and np.isfinite(columns).all() and np.isfinite(gap).all()):
-        return float("inf"), float("inf")
+        return np.inf, np.inf
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     size = np.where(still(states), np.abs(later[-1] - np.eye(size.size)) @ size / SHAKEN, size)
     hidden = np.max([np.linalg.norm(left.T @ last @ after * size, axis=1) for after in later], axis=0)

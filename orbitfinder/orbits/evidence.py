@@ -24,7 +24,7 @@ from itertools import combinations, pairwise
 import numpy as np
 from scipy.integrate import simpson, trapezoid
 
-from orbitfinder._runtime.sizes import nonzero, relative
+from orbitfinder._runtime.sizes import EPSILON, nonzero, relative
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import (
     SECOND,
@@ -63,7 +63,7 @@ ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-13)
 KNOWN = 1e-6
 """Share of a component's size below which its changes are no unit to integrate in: they are round-off, nearly"""
 HAMILTON, GIVEN = "Hamilton's equations", "the rates as given"
-DOUBTFUL, MOST, ROUNDED, SPREAD = 1e-10, 16, 64 * float(np.finfo(float).eps), 1e8
+DOUBTFUL, MOST, ROUNDED, SPREAD = 1e-10, 16, 64 * EPSILON, 1e8
 """A true orbit that is no nearer is sought by what else its equations keep, of states of so many numbers; relative
 error of that; condition of a state-transition matrix from which on its determinant is that of its parts"""
 TIED = 1e-9
@@ -117,7 +117,7 @@ class Hamiltonian:
     def __init__(self, model: Model, free: tuple[str, ...] = ()) -> None:
         self.model, self.equations, self.free = model, hamilton(model, free), free
         self.coordinates = self.equations.coordinates
-        self._values = model.parameter_values[[model.parameter_index(name) for name in free]].copy()
+        self._values = model.values_of(free)
         self._given = [self._values] if free else []
         self.field = vector_field(self.equations.field, *self._given)
         self.variational = vector_field(self.equations.variational, *self._given)
@@ -429,10 +429,10 @@ def off_motion(
     """
     edge = TIED * period
     if times.size < 2 or samples.shape != (times.size, units.size) or not np.all(np.isfinite(samples)):
-        return float("inf")
+        return np.inf
     steps, left = np.diff(times), period - times[-1]
     if times[0] != 0.0 or not np.all(steps >= 0) or not -edge <= left <= (steps.max() if thinned else edge):
-        return float("inf")
+        return np.inf
     far = np.full(times.size, np.inf)
     for begin, lasts, path in pieces:
         own = (times >= begin - edge) & (times <= begin + lasts + edge)
@@ -547,7 +547,7 @@ def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
     The equations have them to round-off; orbits that do are isolated where others come in families, or nearly do.
     """
     n, period, field = model.angular.size, float(motion.times[-1]), vector_field(accelerations(model))
-    rows, many, least = beside(motion.states), rates_of(field)[0], float("inf")
+    rows, many, least = beside(motion.states), rates_of(field)[0], np.inf
     here = many(moments := np.zeros(len(rows)), rows)
 
     def has(each: Involution) -> bool:
@@ -606,7 +606,7 @@ def _variable(model: Model, states: np.ndarray, units: np.ndarray) -> float:
     """
     which = next((k for k, one in enumerate(model.invariants) if one.generator is None), None)
     if which is None:
-        return float("nan")
+        return np.nan
     gradients = invariant_gradients(model)
     return max(float(np.abs(gradients(state).full()[which]) @ units) for state in states[:: SAMPLES // 16])
 
@@ -742,7 +742,7 @@ def native_closure(model: Model, state: np.ndarray, period: float, turns: np.nda
     try:
         motion = simulate_dae(model, state, period, 2, settings)
     except (IntegrationError, InputError):
-        return float("inf")
+        return np.inf
     return gap(motion.states[0], motion.states[-1], turns, units)
 
 

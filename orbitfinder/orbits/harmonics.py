@@ -21,7 +21,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import EPSILON, nonzero
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.integrate.residual import Residual
@@ -366,7 +366,7 @@ class Balanced:
         """What the parameter of a fold is known to: what round-off and the next orders make of it."""
         rows, linear = self.linearise(w)
         left, _ = linear.kernel()
-        lost = np.finfo(float).eps * np.linalg.norm(left) + abs(left @ rows)
+        lost = EPSILON * np.linalg.norm(left) + abs(left @ rows)
         return float(self.p_sizes[-1] * lost / abs(left @ linear.column))
 
     def enough(self, w: Coefficients) -> bool:
@@ -419,7 +419,7 @@ class Balanced:
         except RuntimeError:
             return np.inf, 0.0
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (self.equations.size, after.basis.count))
-        noise = np.finfo(float).eps * self.row_sizes[:, None] * signs
+        noise = EPSILON * self.row_sizes[:, None] * signs
         both = factors.solve(np.column_stack([(rows @ after.basis.back.T).ravel(), noise.ravel()]))
         sizes = np.repeat(self.sizes, after.basis.count)
         largest, lost = np.abs(both / sizes[:, None]).max(axis=0)

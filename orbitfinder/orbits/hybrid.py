@@ -98,7 +98,7 @@ def first_unknowns(equations: Equations, guess: Guess, segments: int, steps: int
     period = parts * float(durations.sum())
     along = (Guess(arc.states[0], arc.duration, arc.times - arc.times[0], arc.states) for arc in arcs)
     nodes = [guessed_nodes(one, np.arange(segments) / segments) for one in along]
-    free = model.parameter_values[[model.parameter_index(name) for name in equations.free]]
+    free = model.values_of(equations.free)
     last = free.size - (len(arcs) - 1)
     free[last:] = durations[:-1] / period
     mesh = uniform(equations.symmetry.fraction, len(arcs) * segments, steps)
@@ -240,7 +240,7 @@ def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray
     try:
         arcs = cycle_from(model, state, SECOND, PATIENCE * period)
     except (ConvergenceError, IntegrationError):
-        return float("inf")
+        return np.inf
     return gap(state, arcs[-1].after, turns, units)
 
 

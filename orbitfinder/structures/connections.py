@@ -376,7 +376,7 @@ def described(chain: ReturnChain, name: str) -> Connection:
     return Connection(
         name, dict(cut.model.system), names, cut.name, cut.plane.component,
         cut.axis_names, chain.origin.orbit.energy, chain.states, linear.durations,
-        chain.chosen, _angle(chain, linear, units), float("inf"), ends[0], ends[1], None, whole[:, 0], whole[:, 1:],
+        chain.chosen, _angle(chain, linear, units), np.inf, ends[0], ends[1], None, whole[:, 0], whole[:, 1:],
     )  # fmt: skip
 
 
@@ -491,7 +491,7 @@ def _no_orbit(end: ConnectionEnd) -> Orbit:
     """What a local manifold asks of its orbit."""
     nothing = np.zeros(0)
     return Orbit(
-        end.orbit, {}, end.state, end.period, float("nan"), 0.0, 0.0, "", (), nothing, 0.0, "", (), end.state[None],
+        end.orbit, {}, end.state, end.period, np.nan, 0.0, 0.0, "", (), nothing, 0.0, "", (), end.state[None],
         nothing, nothing, 0.0,
     )  # fmt: skip
 

@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime import limit
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import EPSILON, nonzero
 from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.parallel import STAGES, Lanes
 from orbitfinder.integrate.rk8 import one_step, step_of
@@ -379,9 +379,7 @@ class _Run:
         (t, h, level), x = rows[:, 2:5].T, rows[:, 5:]
         low, high, s, there = np.zeros(h.size), h.copy(), h * 0.5, x.copy()
         below = plane.off(self._watched(t, x, x)[0], level)
-        room = (
-            8 * float(np.finfo(float).eps) * (h + (np.abs(t) if i < 0 else 0.0))
-        )  # time is known to its own round-off
+        room = 8 * EPSILON * (h + (np.abs(t) if i < 0 else 0.0))  # time is known to its own round-off
         k = np.arange(h.size)  # those that are not there yet: what each comes to depends on no other
         for _ in range(50):
             there[k], _, rates = self.of.stepped(t[k], x[k], sense * s[k])

@@ -100,7 +100,7 @@ class Circle:
     """The rows of a torus, in units of the motion (d), of time and of the freed parameters.
 
     `held` are values of "energy", "rotation" (rho, in rad) or freed parameters by name; `steps` the Runge-Kutta steps
-    of an arc, `most_steps` at most. A `ContinuationProblem`, whose curves have as many states as their series needs,
+    of an arc, `most_steps` at most. A continuation problem, whose curves have as many states as their series needs,
     `most` at most.
     """
 

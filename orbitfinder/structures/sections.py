@@ -333,7 +333,7 @@ def section(
     levels = {} if not model.smooth else level_of(model, energy, state)
     cut = surface(model, plane, axes, direction, levels=levels)
     starts = _starts(cut, seeds, dict(ranges or {}), state)
-    names, chosen = model.state_names, next(iter(levels.values()), float("nan"))
+    names, chosen = model.state_names, next(iter(levels.values()), np.nan)
     hybrid = not model.smooth
 
     def made(passing: Passing) -> Section:

@@ -7,7 +7,6 @@ converges: there the torus breaks down.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import gcd
@@ -165,14 +164,7 @@ def follow_tori(
     goals = tuple(sorted({*at, *(() if until is None else (until,))}))
     if asked == "rotation":
         for goal in goals:
-            # which no torus has, or only one of periodic orbits
-            if not (np.isfinite(goal) and 0 < goal < 1):
-                raise InputError(f"rotation: {goal}; give turns a return, between 0 and 1")
-            if (near := resonance(goal, chosen.most_states)) is not None:
-                raise InputError(
-                    f"rotation: {goal!r} is resonant, {near[0]}/{near[1]}: such a torus is a ring of periodic orbits "
-                    f"of {near[1]} returns; give an irrational number, or follow the family past it"
-                )
+            _check_rotation(goal, chosen.most_states)
     label = name or (f"{origin.name}-tori" if isinstance(origin, Orbit) else "tori")
     free = isinstance(origin, Torus)  # the tangent of its family points anywhere
     if isinstance(origin, Torus):
@@ -206,7 +198,7 @@ def follow_tori(
         return Tori(label, dict(system.system), asked, held, tuple(kept.record for kept in curve.points), end,
                     getattr(origin, "title", ""))  # fmt: skip
 
-    with contextlib.nullcontext() if path is None else locks.alone_in(path.parent):
+    with locks.alone_in(path and path.parent):
         for kept in follow(curve, CurveJournal(keeping, path, request, leads_there), begin, inner, pace):
             finished(lambda: tori(STOPPED))
             if progress:
@@ -247,6 +239,17 @@ def _asked(model: Model, origin: Orbit | Torus, hold: str | None, parameter: str
     if hold == "rotation" and isinstance(origin, Orbit):
         raise InputError("hold: 'rotation' begins with a Torus of that rotation number; find one at fixed energy first")
     return "energy" if hold == "rotation" else "rotation"
+
+
+def _check_rotation(rotation: float, most: int) -> None:
+    """`InputError` for a rotation number that no torus has, or only one of periodic orbits."""
+    if not (np.isfinite(rotation) and 0 < rotation < 1):
+        raise InputError(f"rotation: {rotation}; give turns a return, between 0 and 1")
+    if (near := resonance(rotation, most)) is not None:
+        raise InputError(
+            f"rotation: {rotation!r} is resonant, {near[0]}/{near[1]}: such a torus is a ring of periodic orbits of "
+            f"{near[1]} returns; give an irrational number, or follow the family past it"
+        )
 
 
 def resonance(rotation: float, most: int) -> tuple[int, int] | None:
@@ -411,7 +414,7 @@ def _origin_entry(origin: Orbit | Torus) -> list[Any]:
 def _recorded(point: Point) -> Torus:
     w, ring = point.w, point.problem
     p = ring.equations
-    energy = ring.value(w, "energy") if p.model.conservative else float("nan")
+    energy = ring.value(w, "energy") if p.model.conservative else np.nan
     measured = w.curve / ring.units
     free = {name: float(value) for name, value in zip(p.free, w.free, strict=True)}
     return Torus(
