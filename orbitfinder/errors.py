@@ -67,7 +67,9 @@ class LimitError(OrbitfinderError):
     """A time limit was reached; the message says which and how far the work had come."""
 
 
-FAILURES = InputError, IntegrationError, ConvergenceError
+UNSOLVED = ConvergenceError, IntegrationError
+"""What an attempt at a solution may end with where there is none"""
+FAILURES = InputError, *UNSOLVED
 """What a computation may end with, but for its time limit"""
 
 

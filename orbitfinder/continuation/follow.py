@@ -28,7 +28,7 @@ from scipy.optimize import brentq
 from orbitfinder._runtime import limit
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.continuation.tests import Crossing, Entries, Roots, crossings
-from orbitfinder.errors import ConvergenceError, DomainError, IntegrationError, plural
+from orbitfinder.errors import UNSOLVED, ConvergenceError, DomainError, plural
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import End
 from orbitfinder.records.journal import append_line, known_lines, refuse_other
@@ -95,7 +95,7 @@ def _advanced(walk: Walk[B], length: float) -> B:
     while True:
         try:
             return walk.advance(length)
-        except (ConvergenceError, IntegrationError) as error:
+        except UNSOLVED as error:
             length /= 2
             if length < walk.shortest() ** getattr(error, "digits", 1.0):
                 return walk.failed(str(error))
@@ -376,7 +376,7 @@ class CurveJournal:
 
     def exactly(self, before: Point, after: Point, goals: Goals) -> tuple[list[KeptPoint], list[AtValue]]:
         """The points at values between two, and those among them that were not known before."""
-        points, fresh = list[KeptPoint](), list[AtValue]()
+        points, fresh = [], []
         for value in goals.met(before, after):
             kept = next((kept for known, kept in self.at if known == value
                         and before.arclength <= kept.point.arclength <= after.arclength), None)  # fmt: skip
@@ -409,7 +409,7 @@ def follow(
         try:
             before, after = (step.point for step in trace.steps[index - 1 : index + 1])
             points, fresh = trace.exactly(before, after, goals)
-        except (ConvergenceError, IntegrationError) as error:
+        except UNSOLVED as error:
             curve.end = End("step underflow", str(error))
             if trace.end is None:
                 trace.add(end=curve.end)
@@ -483,13 +483,13 @@ class _Arclength:
 
     def _events(self, before: Point, after: Point) -> tuple[list[KeptPoint], dict[str, float]]:
         """Where tests change their signs within a step, by both ends and the middle, and their values at its end."""
-        events, tested = list[KeptPoint](), dict[str, float]()
+        events, tested = [], {}
         if self.tests and before.w.vector.size != after.w.vector.size:  # on the mesh of what comes after
             w, moved = (after.problem.carried(one, after.w) for one in (before.w, before.w.moved(before.tangent)))
             before = replace(before, problem=after.problem, w=w, tangent=moved.vector - w.vector)
         middle = between(before, after, 0.5) if self.tests else after
         same = self.last if after.problem is before.problem else {}  # in the same metric
-        kinds = dict[Entries, str]()
+        kinds = {}
         for name, test in self.tests.items():
             if not callable(test):
                 kinds[test] = name
@@ -528,7 +528,7 @@ class _Arclength:
 
     def failed(self, reason: str) -> _Line:
         point, name, kind = self.point, self.goals.name, "step underflow"
-        with contextlib.suppress(ConvergenceError, IntegrationError):
+        with contextlib.suppress(*UNSOLVED):
             try:
                 point.problem.rows(point.w.moved(self.pace.first * point.tangent))
             except DomainError as error:

@@ -63,6 +63,11 @@ class Point:
         """A quantity by name."""
         return float(self.problem.value(self.w, name))
 
+    @property
+    def entry(self) -> dict[str, Any]:
+        """The numbers of a solution that a journal keeps."""
+        return {"w": self.w.vector, "tangent": self.tangent, "arclength": self.arclength, "step": self.step}
+
     @cached_property
     def sharp(self) -> Point:
         """The same with its tangent by the derivatives there, where the corrector's are those of a place nearby."""

@@ -135,7 +135,7 @@ def crossings(
     Between two places an entry is a cubic by its values and slopes. An interval is divided until each entry keeps away
     from 0 by more than its cubic may be wrong, or crosses 0 once; at first it always is.
     """
-    events, looks, size = list[Crossing](), 0, ends[0].values.size
+    events, looks, size = [], 0, ends[0].values.size
     labels = np.column_stack(np.triu_indices(size))
     labels = labels[np.isin(labels[:, 0] != labels[:, 1], list(kinds))]
     todo = [(0.0, 1.0, *ends, np.full(size, inf), 0)]

@@ -35,7 +35,7 @@ from orbitfinder.continuation.follow import (
     towards,
 )
 from orbitfinder.continuation.problem import Point
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.entries import KINDS
 from orbitfinder.families.events import event_at, find_events
 from orbitfinder.families.folder import directions
@@ -344,7 +344,7 @@ class _Large:
         length, slope, order = after.arclength - before.arclength, 0.0, 1 + meets
         share = (point.arclength - before.arclength) / length
         for there in (max(share - ASIDE, 0.0), min(share + ASIDE, 1.0)):
-            with suppress(ConvergenceError, IntegrationError):
+            with suppress(*UNSOLVED):
                 beside = advanced(before, there * length)
                 slope = max(slope, max(changing(beside), 0.0) ** order / abs(beside.value(self.parameter) - value))
         again = finer_indices(balanced, point.w)
@@ -529,8 +529,7 @@ class _Direction:
         """Both in plain numbers, but for the states that the series tells."""
         if isinstance(self.own, _Large):
             record = replace(record, shooting_nodes=record.state[None])
-        return {"w": point.w.vector, "tangent": point.tangent, "arclength": point.arclength, "step": point.step,
-                "orders": list(point.problem.basis.orders), "orbit": plain(record)}  # fmt: skip
+        return point.entry | {"orders": list(point.problem.basis.orders), "orbit": plain(record)}
 
     def read(self, entry: Mapping[str, Any]) -> tuple[Point, FamilyPoint]:
         """Both from what was written."""

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError
 from orbitfinder.families.equilibrium import Equilibria, RestEvent
 from orbitfinder.families.handover import rescued
 from orbitfinder.families.point import FamilySettings
@@ -139,7 +139,7 @@ def _cycle(model: Model, name: str, born: RestEvent, by: type[March]) -> Start:
         try:
             curve = curve_at(equations, guess, ("energy",))
             start = corrected(curve, guess, plane(curve, guess, direction), guess, reach=10.0)
-        except (ConvergenceError, IntegrationError) as error:
+        except UNSOLVED as error:
             why = str(error)
             continue
         place = start.solution.place

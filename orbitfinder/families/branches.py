@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError
 from orbitfinder.families.birth import cycle_start, mode_start
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.entries import SWITCHABLE
@@ -234,7 +234,13 @@ def _leaving(cover: Cover, direction: np.ndarray) -> Leaving | None:
         if nearer is None or _grown(nearer) == _grown(start):
             break
         start, length = nearer, length / 4
-    return Leaving(cover, direction, length, symmetric(_outwards(start, place)))
+    found = start.solution.place  # directed away from the orbit that it is born on
+    whole = tangent(start.curve, start.solution, start.direction)
+    same = np.array_equal(found.edges, place.edges)
+    away = found.vector - place.vector if same else found.spread(found.head - place.head)
+    if not np.sum(start.curve.scales.metric(found) * away * whole) >= 0:
+        start = replace(start, direction=-start.direction)
+    return Leaving(cover, direction, length, symmetric(start))
 
 
 def _at(cover: Cover, direction: np.ndarray, length: float) -> Start | None:
@@ -243,7 +249,7 @@ def _at(cover: Cover, direction: np.ndarray, length: float) -> Start | None:
     aim = plane(curve, place, direction, length * float(curve.scales.metric(place) @ direction**2))
     try:
         start = corrected(curve, advanced(place, direction, length), aim, place, reach=2 * length)
-    except (ConvergenceError, IntegrationError):
+    except UNSOLVED:
         return None
     # largest fictitious damping, per period, with which a motion is still an orbit
     damped = start.solution.place.period * np.abs(start.solution.place.unfolding).max(initial=0.0) > 1e-8
@@ -262,7 +268,7 @@ def symmetric(start: Start) -> Start:
         return start
     try:
         other = reformulated(start, named(symmetry_of(start.curve, start.solution), start.curve.equations.model))
-    except (ConvergenceError, IntegrationError):
+    except UNSOLVED:
         return start
     slopes = [list(parameter_slopes(s.curve, s.solution.place, s.direction).values()) for s in (start, other)]
     count = 2 + len(start.curve.equations.free)
@@ -275,19 +281,6 @@ def _is_cover(start: Start, order: int, length: float) -> bool:
     _, states = full_samples(start.curve, start.solution)
     gaps = [return_gaps(states, k) / start.curve.scales.states for k in range(2, order + 1) if order % k == 0]
     return bool(np.min(np.max(gaps, axis=1)) < 0.05 * length)
-
-
-def _outwards(start: Start, origin: Unknowns) -> Start:
-    """The same start, directed away from the orbit that it was born from."""
-    curve, place = start.curve, start.solution.place
-    whole = tangent(curve, start.solution, start.direction)
-    moved = (
-        place.vector - origin.vector
-        if np.array_equal(place.edges, origin.edges)
-        else place.spread(place.head - origin.head)
-    )
-    same = np.sum(curve.scales.metric(place) * moved * whole) >= 0
-    return start if same else replace(start, direction=-start.direction)
 
 
 def _same(leaving: Leaving, other: Leaving) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import partial
 from math import gcd
 
 import numpy as np
@@ -62,12 +61,8 @@ def doublings_turn(interval: Interval) -> Iterator[tuple[Sample, Test]]:
     """Where doublings degenerate: of whole periods without resets, of what dissipates."""
     about, p = interval.first.about, interval.curve.equations
     if not (p.links or about.conservative or p.model.conservative) and p.symmetry.fraction == 1 and about.root == 1:
-        measure = partial(_bending, interval.curve)
-        yield from _zeros(interval, [Test("degenerate_doubling", "", measure, 2, -1.0 + 0.0j)])
-
-
-def _bending(curve: Curve, sample: Sample) -> float:
-    return bending(curve, sample.solution)
+        turn = Test("degenerate_doubling", "", lambda sample: bending(interval.curve, sample.solution), 2, -1.0 + 0.0j)
+        yield from _zeros(interval, [turn])
 
 
 def beside_level(test: Critical, about: Spectrum) -> Iterator[Test]:
@@ -76,28 +71,15 @@ def beside_level(test: Critical, about: Spectrum) -> Iterator[Test]:
         return
     level = test.roots(about)[1]
 
-    def met(sample: Sample) -> float:
-        return doubled(*test.roots(sample.about))
-
     same = "1:1" if test.multiplier.real > 0 or about.root == 2 else "1:2"
-    yield Test("strong_resonance", same, met, test.order, test.multiplier)
-    other, mu = _opposite(test, about.root, about.conservative)
-    if other is None or other == level:
+    yield Test("strong_resonance", same, lambda sample: doubled(*test.roots(sample.about)), test.order, test.multiplier)
+    if about.root == 2 and not about.conservative:
         return
-
-    def both(sample: Sample, other: float = other) -> float:
-        return levelled(test.roots(sample.about)[0], other)
-
-    yield Test("fold_doubling", "", both, 2, mu)
-
-
-def _opposite(test: Critical, root: int, conservative: bool) -> tuple[float | None, complex]:
-    """Where another index, or multiplier, makes a fold of a doubling or a doubling of a fold; its multiplier."""
-    doubling = 1j if root == 2 else -1.0 + 0.0j
-    if root == 2 and not conservative:
-        return None, doubling
-    mu = 1.0 + 0.0j if test.order == 2 else doubling
-    return (2.0 if conservative else 1.0) * mu.real, mu
+    doubling = 1j if about.root == 2 else -1.0 + 0.0j
+    mu = 1.0 + 0.0j if test.order == 2 else doubling  # where another root makes a fold of a doubling, or the reverse
+    other = (2.0 if about.conservative else 1.0) * mu.real
+    if other != level:
+        yield Test("fold_doubling", "", lambda sample: levelled(test.roots(sample.about)[0], other), 2, mu)
 
 
 def along_circle(_: Critical, about: Spectrum) -> Iterator[Test]:

@@ -19,7 +19,7 @@ from orbitfinder._runtime.limit import limited
 from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, LimitError, closest, plural
+from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError, LimitError, closest, plural
 from orbitfinder.families.branches import LEAVING, branches, switch_branch
 from orbitfinder.families.entries import kind_of
 from orbitfinder.families.equilibria import RestBranch, follow_equilibria
@@ -402,7 +402,7 @@ def journals(
     """The journals of the families that leave a curve at an event, by name, as far as they can be followed."""
     with tempfile.TemporaryDirectory() as out:
         tree = _Tree(empty, build_model(empty.system, home(trusted)), settings, Path(out))
-        with contextlib.suppress(ConvergenceError, IntegrationError):  # which is met again where it is told
+        with contextlib.suppress(*UNSOLVED):  # which is met again where it is told
             for file, follow in tree.beside(curve, k):
                 if file.endswith("family.json"):
                     follow()
@@ -492,7 +492,7 @@ class _Tree:
                 self.add(DiagramCurve(file, curve.depth + 1, curve.file, k, record := follow()))
                 if why := stuck(record):
                     became, words = "failed", f"{words}: {why}"
-        except (ConvergenceError, IntegrationError) as error:
+        except UNSOLVED as error:
             became, words = "failed", f"{words}: {error}"
         return self.over(curve, k, became, words)
 

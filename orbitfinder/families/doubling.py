@@ -46,7 +46,7 @@ def born(curve: Curve, solution: Solution, multiplier: complex) -> str:
     p = curve.equations
     if p.links or p.model.conservative or p.symmetry.relative or p.symmetry.fraction != 1.0 or curve.test:
         return ""
-    sign, known = 1.0 if multiplier.imag == 0.0 else -1.0, list[float]()
+    sign, known = 1.0 if multiplier.imag == 0.0 else -1.0, []
     for share in FINER:
         with suppress(IntegrationError, np.linalg.LinAlgError):  # what is so far beside an orbit may not come back
             known.append(sign * coefficient(curve, solution, multiplier, STEP * share))
@@ -78,7 +78,7 @@ def _nearest(matrix: np.ndarray, multiplier: complex) -> tuple[complex, np.ndarr
     """The eigenvalue nearest to a multiplier and its vector, of length 1."""
     values, vectors = np.linalg.eig(matrix)
     k = int(np.argmin(np.abs(values - multiplier)))
-    return complex(values[k]), np.asarray(vectors[:, k])
+    return complex(values[k]), vectors[:, k]
 
 
 Form = Callable[..., np.ndarray]

@@ -9,7 +9,7 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import zero
-from orbitfinder.errors import ConvergenceError, IntegrationError, plural
+from orbitfinder.errors import UNSOLVED, ConvergenceError, IntegrationError, plural
 from orbitfinder.families.joins import EVEN, Invariance, Join, about_mean, agrees, approaching, end_of, passed, solved
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.motion import full_samples
@@ -437,7 +437,7 @@ def passed_again(curve: Curve, before: Solution, after: Solution, past: np.ndarr
     aim = hyperplane(float(step[:count] @ (past / units)[:count]), normal)
     try:
         again = correct(curve, place.blended(after.place, float(off @ step / (step @ step))), aim, place)
-    except (ConvergenceError, IntegrationError):
+    except UNSOLVED:
         return False
     apart = np.abs((portrait(curve, again) - past) / units)
     return bool(apart[: count + 1].max() < MEETING.same and apart.max() < MEETING.alike)
@@ -471,13 +471,6 @@ def mirrored(interval: Interval, at: float) -> bool:
     return bool(abs(other[1] - level[1]) < MEETING.mirrored * abs(level[1] - turn[1]))
 
 
-def _keeps(curve: Curve, name: str, states: np.ndarray) -> bool:
-    """Whether the equations have the symmetry of a name, asked at states (k x d) of an orbit that has not."""
-    symmetry = named(name, curve.equations.model)
-    chosen = states[:: len(states) // 3]
-    return all(symmetry.held_by(curve.equations.model, state, curve.cycles) for state in chosen)
-
-
 def merged(interval: Interval, at: float, name: str) -> End | None:
     """At a fold so far into a step: whether the family joins one of more symmetry or of a shorter period.
 
@@ -493,8 +486,11 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
         return None
     if not curve.equations.links:
         times, beside = full_samples(curve, interval.first.solution)
-        if covers == 1 and (recognise(times, beside, model) == seen or not _keeps(curve, seen, beside)):
-            return None  # the family has it itself, or the motion has and the equations have not
+        if covers == 1:
+            other, some = named(seen, model), beside[:: len(beside) // 3]
+            held = all(other.held_by(model, state, curve.cycles) for state in some)
+            if not held or recognise(times, beside, model) == seen:
+                return None  # the motion has it and the equations have not, or the family has it itself
         join = solved(curve, solution, name, Invariance(covers), seen if covers == 1 else "")
         values = [parameter_value(curve, interval.sample(d).solution.place, name) for d in (0.0, at, interval.length)]
         there = join is not None and abs(join.value - values[1]) < MEETING.there * np.ptp(values)

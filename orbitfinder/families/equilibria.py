@@ -29,7 +29,7 @@ from orbitfinder.continuation.follow import (
 )
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.continuation.tests import Entries, Roots
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
 from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, Judge
 from orbitfinder.families.rest_problem import (
@@ -225,7 +225,7 @@ class Way:
             guess = w.moved(length * along)
             try:
                 point = solved(self.problem, guess, plane(self.problem, guess, along))
-            except (ConvergenceError, IntegrationError):
+            except UNSOLVED:
                 continue
             outwards = float(np.sum(self.problem.metric(w) * point.tangent * (point.w.vector - w.vector)))
             return replace(point, tangent=point.tangent * np.sign(outwards), arclength=length)
@@ -259,8 +259,7 @@ class Way:
     def write(self, point: Point, record: Equilibrium) -> Mapping[str, Any]:  # noqa: ARG002 - made again when read
         """Both in plain numbers."""
         critical = point.critical and [point.critical.real, point.critical.imag]
-        return {"w": point.w.vector, "tangent": point.tangent, "arclength": point.arclength, "step": point.step,
-                "sizes": point.problem.sizes, "pace": point.problem.pace, "critical": critical}  # fmt: skip
+        return point.entry | {"sizes": point.problem.sizes, "pace": point.problem.pace, "critical": critical}
 
     def read(self, entry: Mapping[str, Any]) -> tuple[Point, Equilibrium]:
         """Both from what was written."""
@@ -279,7 +278,7 @@ class Way:
         """What is singular near a located point, solved for; None where it is nothing."""
         problem, length, critical = kept.point.problem, kept.point.arclength, kept.point.critical
         z, p, _ = problem.parts(kept.point.w)
-        solutions = list[tuple[float, str, AtRest, Stacked, np.ndarray]]()
+        solutions = []
         for form in ("hopf",) if kept.role == "hopf" else ("fold", "branch_point"):
             try:
                 extended, guess = singular(problem, z, p, form, critical)
@@ -372,7 +371,7 @@ def _other(problem: AtRest, z: np.ndarray, p: np.ndarray, tangent: np.ndarray) -
 
 def _record(called: tuple[str, str], curve: Mapping[str, Any], runs: list[tuple[SolutionCurve, Way]]) -> Equilibria:
     points: list[Equilibrium] = []
-    events: list[RestEvent] = []
+    events = []
     for run, way in reversed(runs):
         own = [kept.record for kept in run.points]
         both = bool(points and own) and points[-1].arclength == own[0].arclength  # begin with the same point

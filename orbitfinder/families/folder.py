@@ -313,7 +313,7 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Sequence[tuple
 
     `InputError` where that would leave points of it out.
     """
-    kept, last = list[Batch](), dict[int, FamilyPoint].fromkeys(stops, journal.origin)
+    kept, last = [], dict[int, FamilyPoint].fromkeys(stops, journal.origin)
     for batch in journal.batches:
         side, goals = batch.direction, stops.get(batch.direction, [])
         met = [point for point in batch.points if point.role != "at"]
@@ -347,7 +347,7 @@ def _request(
     And what the family was started from, for its file.
     """
     head: Any
-    source, system = {"name": getattr(origin, "name", "")}, dict[str, Any]()
+    source, system = {"name": getattr(origin, "name", "")}, {}
     if title := getattr(origin, "title", ""):
         source["title"] = title
     if isinstance(origin, Branch):

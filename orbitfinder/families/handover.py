@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.errors import UNSOLVED
 from orbitfinder.families.members import batch_certified
 from orbitfinder.families.point import freed, make_point, parameter_value, unknowns_of
 from orbitfinder.families.run import Run, in_scales
@@ -51,7 +51,7 @@ def handed_over(
     check = ClosureCheck(p.model, stiff=method.march.stiff) if settings.certify else None
     try:
         journal = _read(journal, run.curve, curve, check, why)
-    except (ConvergenceError, IntegrationError) as error:
+    except UNSOLVED as error:
         log.warning("%s; %s does not have its points: %s", why, method.march.name, error)
         return None
     log.warning("%s; it goes on by %s", why, method.march.name)

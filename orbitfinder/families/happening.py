@@ -61,7 +61,7 @@ def sentence(family: Family, k: int) -> str:
 
 def _of_orbits(family: Family, k: int) -> Happening:
     event, kind, told = family.events[k], kind_of(family.events[k].kind), [sentence(family, k)]
-    ways, leads = list[str](), "test" not in family.curve and (kind.branches or kind.followed)
+    ways, leads = [], "test" not in family.curve and (kind.branches or kind.followed)
     if leads and by_series(family.curve):
         told.append(f"what leads on from it is not known by {family.curve['method']} of many coordinates")
     elif leads and event.shooting_nodes.size:

@@ -16,7 +16,7 @@ from orbitfinder._runtime import limit as limited
 from orbitfinder._runtime.cluster import scheduler_at
 from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, LimitError, shortened
+from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError, LimitError, shortened
 from orbitfinder.families.curves import both_parameters
 from orbitfinder.families.pixels import BEHIND, ParameterPlane, PixelBlock, described, flooded, plane_of
 from orbitfinder.families.plane import BLANK, COLOURED, STOPPED, UNTRIED, ParameterMap
@@ -266,7 +266,7 @@ class _Filling:
         while parts:
             yield from self._round(number, parts, answers, plane)
             strips = [(slice(k, min(k + STRIP, rows)), slice(0, columns)) for k in range(0, rows, STRIP)]
-            left = np.asarray(np.any(self.block.frontier(), axis=2))
+            left = np.any(self.block.frontier(), axis=2)
             parts, number = [part for part in strips if left[part].any()], number + 1
 
     def _round(
@@ -312,7 +312,7 @@ class _Filling:
         )  # fmt: skip
         pixels = np.argwhere(made.known)
         chosen = np.random.default_rng(self.seed).permutation(len(pixels))[:sample]
-        failures, rows = Counter[str](), list[tuple[int, ...]]()
+        failures, rows = Counter[str](), []
         for pixel in pixels[np.sort(chosen)]:
             wrong = _failures(plane, made, pixel)
             failures.update(wrong)
@@ -327,7 +327,7 @@ def _failures(plane: ParameterPlane, made: ParameterMap, pixel: np.ndarray) -> t
         head = np.zeros(solution.place.head.size)
         point = make_point(plane.curve, solution, head, made.parameters[0], None, index=0, arclength=0.0, step=0.0)
         return certify(point, with_parameters(plane.curve.equations.model, point.free)).failures
-    except (ConvergenceError, IntegrationError) as error:
+    except UNSOLVED as error:
         return (type(error).__name__,)
 
 

@@ -197,7 +197,7 @@ class ParameterPlane:
         rates = p.march.rates(states.reshape(-1, p.size), tails, times.ravel()).reshape(states.shape)
         return np.asarray(np.ptp(extent(times, states[..., :n], rates[..., :n]), axis=1) / 2)
 
-    def flood(self, block: PixelBlock, rows: slice, columns: slice, origin: tuple[int, int] = (0, 0)) -> None:
+    def flood(self, block: PixelBlock, rows: slice, columns: slice, origin: tuple[int, int]) -> None:
         """Fill a part of a block, whose first pixel is the plane's `origin`, from the orbits beside it that are known,
         until nothing is left to try."""
         inside = np.zeros(block.blank.shape, bool)

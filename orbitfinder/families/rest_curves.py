@@ -196,7 +196,7 @@ NORMAL: Mapping[str, Callable[[AtRest, Stacked], dict[str, float]]] = defaultdic
 
 def _claims(kind: str, values: np.ndarray) -> list[complex]:
     """The critical eigenvalues of a kind by all that there are, of pairs the first."""
-    claims: list[complex] = []
+    claims = []
     if kind in ZERO:
         claims, values = [0.0 + 0.0j], np.delete(values, np.argmin(np.abs(values)))
     for _ in range(PAIRS.get(kind, 0)):
@@ -257,8 +257,7 @@ class _Track(rest.Way):
         return replace(known, residual=float(judged[0]), certified=bool((judged <= ALLOWED).all()))
 
     def write(self, point: Point, record: Equilibrium) -> Mapping[str, Any]:  # noqa: ARG002 - made again when read
-        return {"w": point.w.vector, "tangent": point.tangent, "arclength": point.arclength, "step": point.step,
-                "sizes": point.problem.p_sizes, "c": point.problem.c}  # fmt: skip
+        return point.entry | {"sizes": point.problem.p_sizes, "c": point.problem.c}
 
     def read(self, entry: Mapping[str, Any]) -> tuple[Point, Equilibrium]:
         w, tangent, sizes, c = (np.array(entry[name], float) for name in ("w", "tangent", "sizes", "c"))

@@ -118,7 +118,7 @@ class AtRest:
 
     def _evaluated(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
         """The same below each other, slopes transposed."""
-        whole = np.asarray(self.jets.first(z, p, self.kept) * self._units)
+        whole: np.ndarray = self.jets.first(z, p, self.kept) * self._units
         if not len(self.phase):
             return whole
         d, fixed = self.jets.size, np.zeros((len(whole), len(self.phase)))

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.integrate import BDF
 
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
+from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError, closest
 from orbitfinder.families.equilibrium import Equilibrium
 from orbitfinder.families.rest_certificate import NOISE, Judge
 from orbitfinder.families.rest_problem import AtRest, Stacked, regular, spectrum, state_sizes, without_noise
@@ -74,7 +74,7 @@ def _newton(
     def linearised(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         try:
             rows, slopes, _ = problem.scaled(z, value)
-        except (ConvergenceError, IntegrationError):
+        except UNSOLVED:
             return np.full(z.size, np.nan), np.eye(z.size)
         slopes = slopes / problem.z_sizes
         for other in known:

@@ -111,7 +111,7 @@ def rest_near(curve: Curve, solution: Solution, state: np.ndarray, near: float) 
     if not rest.converged:
         return state, np.zeros(0)
     x = np.append(np.where(np.abs(rest.w) > AT_REST.cutoff * units[:n], rest.w, 0.0), still)
-    return x, np.asarray(np.linalg.eigvals(p.march.arcs[0].slopes(x, place.tail)))
+    return x, np.linalg.eigvals(p.march.arcs[0].slopes(x, place.tail))
 
 
 def passed(curve: Curve, solution: Solution) -> Iterator[Saddle]:

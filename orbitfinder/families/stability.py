@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime.sizes import EPSILON, LEAST, nonzero
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.integrate.march import QUANTUM, Gridded
+from orbitfinder.integrate.march import QUANTUM
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.orbits.floquet import AREA, Floquet, complement, generated, judged, symplectic_unit, verdict
@@ -168,8 +168,10 @@ def reduced_maps(curve: Curve, solutions: Sequence[Solution]) -> tuple[np.ndarra
     slopes = [p.quantities_at(place)[1] if p.energy else np.zeros((0, p.size)) for place in places]
     bases, units = _bases(curve, [place.nodes[0] for place in places], flows, slopes), curve.units
     with np.errstate(over="ignore", invalid="ignore"):
-        root_maps, root = _root_maps(curve, solutions)
-        reduced = np.asarray(bases.swapaxes(1, 2) @ (root_maps * units / units[:, None]) @ bases)
+        each = np.array([transitions(curve, solution) for solution in solutions])
+        matrices = reduce(lambda before, after: after @ before, each.swapaxes(0, 1))
+        root_maps, root = p.symmetry.root(matrices, lambda other: _inverses(curve, solutions, matrices) @ other, p.size)
+        reduced = bases.swapaxes(1, 2) @ (root_maps * units / units[:, None]) @ bases
     if p.gridded:  # they are told factor by factor
         reduced = np.clip(np.nan_to_num(reduced), -LARGEST, LARGEST)
     if not np.all(np.isfinite(reduced)):
@@ -221,15 +223,12 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
     with np.errstate(over="ignore", invalid="ignore"):
         whole = np.nan_to_num(reduce(lambda before, after: after @ before, reduced))
     found = product(reduced)
-    off = _discretised(p.gridded, found, np.diff(places)) if p.gridded else 0.0
+    off: np.ndarray | float = 0.0
+    if p.gridded:  # the error (d) with which factors of so many steps each are known
+        grown, steps = np.log(np.abs(np.diagonal(found.upper, axis1=1, axis2=2)) + LEAST), np.diff(places)
+        steps = (steps if len(steps) == len(grown) else np.full(len(grown), steps.max()))[:, None]
+        off = (steps * p.gridded.growth_errors(grown / steps)).sum(axis=0)
     return RootFactors(found, missed, np.clip(whole, -LARGEST, LARGEST), bases[0], root, off)
-
-
-def _discretised(march: Gridded, factors: Product, steps: np.ndarray) -> np.ndarray:
-    """The relative error (d) with which factors of so many steps each (p) let what belongs to an eigenvalue grow."""
-    grown = np.log(np.abs(np.diagonal(factors.upper, axis1=1, axis2=2)) + LEAST)
-    steps = (steps if len(steps) == len(grown) else np.full(len(grown), steps.max()))[:, None]
-    return np.asarray((steps * march.growth_errors(grown / steps)).sum(axis=0))
 
 
 def asymplectic(matrix: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
@@ -245,15 +244,6 @@ def _form(curve: Curve, x: np.ndarray, w: Unknowns, basis: np.ndarray) -> np.nda
     places, momenta = np.split((curve.equations.momentum_slopes(x, w.free) * curve.units) @ basis, 2)
     half = places.T @ momenta
     return np.asarray(half - half.T)
-
-
-def _root_maps(curve: Curve, solutions: Sequence[Solution]) -> tuple[np.ndarray, int]:
-    """The matrices (k x d x d) of which monodromies are a power, and that power, from the horizon's by the symmetry."""
-    each = np.array([transitions(curve, solution) for solution in solutions])
-    matrices = reduce(lambda before, after: after @ before, each.swapaxes(0, 1))
-    return curve.equations.symmetry.root(
-        matrices, lambda other: _inverses(curve, solutions, matrices) @ other, curve.equations.size
-    )
 
 
 def transitions(curve: Curve, solution: Solution) -> np.ndarray:

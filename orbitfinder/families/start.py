@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
+from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.motion import SAMPLES, full_samples, whole_motion
 from orbitfinder.families.point import FamilySettings, parameter_value
@@ -106,7 +106,7 @@ def _tried(problem: Problem, free: tuple[str, ...]) -> Start:
     """Newton from the guess itself over its least period, or else from the orbit that the guess leads to."""
     try:
         start = _start(problem, free)
-    except (ConvergenceError, IntegrationError):
+    except UNSOLVED:
         return _found_first(problem, free)
     place, covers = start.solution.place, 1 if problem.boundary.maps else cover_of(start.curve, start.solution)
     if covers == 1:
@@ -398,7 +398,7 @@ def corrected(
         place = fitted(curve, place)
     try:
         solution = correct(curve, place, aim, reference, reach)
-    except (ConvergenceError, IntegrationError) as error:
+    except UNSOLVED as error:
         raise ConvergenceError(f"no orbit to start the family from: {error}; find and certify one first") from error
     toward = place.joined(np.zeros(place.nodes.shape[1]), float(not place.free.size), 0.0, np.ones(place.free.size))
     whole = tangent(curve, solution, toward) if curve.equations.gridded else kernel(curve, solution)
@@ -417,7 +417,7 @@ def fitted(curve: Curve, place: Unknowns) -> Unknowns:
                 path = curve.equations.varied(place, states=True)
                 place = remeshed(curve, Solution(place, path, np.zeros((0, 0)), 0.0))
             break
-        except (ConvergenceError, IntegrationError):
+        except UNSOLVED:
             if times == tries[-1]:
                 raise
     return place

@@ -79,7 +79,7 @@ def diagram_tables(diagram: BifurcationDiagram, model: Model | None = None) -> T
     events what `became` of them. Raises `InputError` where its system cannot be built."""
     model = model or build_model(diagram.system)
     became = {(fork.file, fork.event): fork.became for fork in diagram.branchings}
-    made = dict[str, Tables]()
+    made = {}
     for curve in diagram.curves:
         tables = made[curve.file] = curve.record.tables(model)
         if isinstance(curve.record, Equilibria):

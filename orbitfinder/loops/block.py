@@ -106,7 +106,7 @@ class Blocks:
             rows[0] = row
         standing[5][0] = length
         made = self._advance(_frame(curve, w, self._pacing, self._maps), standing, passage)
-        ahead, before = list[Ahead](), w
+        ahead, before = [], w
         for k in range(made):
             raw, turn, stretch, missed = passage[0][k], *map(float, passage[7][k, :3])
             accepted = _accepted(curve, w, standing, passage, k)
@@ -165,17 +165,12 @@ def _timed(curve: Curve) -> bool:
     return not (curve.equations.symmetry.reverses or curve.equations.model.forced)
 
 
-def _suits(curve: Curve) -> bool:
-    """Whether points of a curve can be made in blocks."""
-    p = curve.equations
-    shifted = p.symmetry.relative or p.symmetry.generators(p.model) or np.isnan(curve.constant).any()
-    return not (p.links or shifted or curve.test or curve.degenerate)
-
-
 def _compiled(curve: Curve) -> Advance | None:
     """The compiled blocks of a curve, None where there are none."""
-    p, march = curve.equations, curve.equations.march
-    if p.gridded or p.march.wide or not (_suits(curve) and isinstance(march, March)):
+    p, march, symmetry = curve.equations, curve.equations.march, curve.equations.symmetry
+    if p.gridded or march.wide or p.links or curve.test or curve.degenerate or not isinstance(march, March):
+        return None
+    if symmetry.relative or symmetry.generators(p.model) or np.isnan(curve.constant).any():
         return None
     return advance_of(march.field, march.integrand, p.stated(curve.conditions), EFFORT)
 

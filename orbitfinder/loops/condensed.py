@@ -120,13 +120,6 @@ class Linearised:
         last, tail = np.vstack([self.last, np.zeros(self.last.shape[1])]), np.vstack([self.tail, row[total:]])
         return replace(self, first=first, last=last, tail=tail)
 
-    def _links(self) -> np.ndarray:
-        """The derivatives of x_0 and of x_{k+1} - Phi_k x_k by x_0 .. x_N, the last of which is where the loop ends."""
-        count, size, _ = self.transitions.shape
-        links, segments = np.eye((count + 1) * size), np.arange(count)
-        links.reshape(count + 1, size, count + 1, size)[segments + 1, :, segments] = -self.transitions
-        return links
-
     def _closing(self) -> tuple[np.ndarray, np.ndarray]:
         """The derivatives of the closing rows, and of the inner ones after them, by x_0 .. x_N and by y."""
         count, size, _ = self.transitions.shape
@@ -164,7 +157,9 @@ def pivoted(system: Linearised, columns: np.ndarray | None = None) -> Solver:
 def eliminated(system: Linearised) -> Solver:
     """Newton's step for any residual at this linearisation."""
     count, size, extra = system.columns.shape
-    total, links, (closing, tail) = count * size, system._links(), system._closing()
+    total, (closing, tail) = count * size, system._closing()
+    links, segments = np.eye(total + size), np.arange(count)  # of x_0 and x_{k+1} - Phi_k x_k by x_0 .. x_N
+    links.reshape(count + 1, size, count + 1, size)[segments + 1, :, segments] = -system.transitions
     start = np.zeros((total + size, size + extra))
     start[:size, :size], start[size:, size:] = links[:size, :size], system.columns.reshape(total, extra)
     along = _followed(links, start)

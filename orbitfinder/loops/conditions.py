@@ -130,13 +130,9 @@ def lowest_energy(model: Model) -> float | None:
     """
     if not system_kind(model.system).pendulum:
         return None
-    total = 0.0
-    n = model.degrees_of_freedom
-    values = model.parameter_values
+    total, n, values = 0.0, model.degrees_of_freedom, model.parameter_values
     rest = float(model.potential(np.zeros(n), values))
-    for i in range(n):
-        turned = np.zeros(n)
-        turned[i] = np.pi
+    for turned in np.pi * np.eye(n):
         total += min(0.0, float(model.potential(turned, values)) - rest)
     return rest + total
 
@@ -485,12 +481,7 @@ first harmonic, amplitude cos(2 pi t / T + phase)"""
 
 def check_constraint(constraint: Constraint) -> None:
     """`InputError` for bounds that contradict each other."""
-    if (
-        np.isnan(constraint.lower)
-        or np.isnan(constraint.upper)
-        or constraint.lower > constraint.upper
-        or constraint.rows < 1
-    ):
+    if not constraint.lower <= constraint.upper or constraint.rows < 1:
         raise InputError(
             f"constraints: {constraint.name} asks for {constraint.lower} <= expression <= {constraint.upper} in "
             f"{constraint.rows} rows; give lower <= upper and at least one row"

@@ -530,7 +530,7 @@ class Loop:
     def stated(self, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX, ends: Sequence[ca.MX]) -> ca.MX:
         """The same rows as an expression of CasADi."""
         first, last = (ca.sparsify(ca.DM(part)) for part in self.equations.boundary)
-        links, ends, guards = self.equations.links, list(ends), list[ca.MX]()
+        links, ends, guards = self.equations.links, list(ends), []
         p = self.equations.model.parameters(self.equations.free, free)
         for transition, place in zip(links.transitions, links.ends(len(ends)), strict=True):
             guards.append(transition.guard(ends[place], p))

@@ -57,9 +57,12 @@ def needs_mesh(curve: Curve, solution: Solution, every: int = MESH.sampled) -> b
         return not march.fits(solution.place.nodes, solution.place.mesh, solution.place.tail)
     some = _errors(curve, solution, every)
     allowed = _allowed(curve)
-    if some.max() > MESH.coarse * allowed or _steep(curve, solution):
+    if some.max() > MESH.coarse * allowed:
         return True
-    if not _density(some, allowed).sum() * MESH.spare < some.size:
+    rough = np.linalg.norm(_blocks(curve, solution), axis=(1, 2)).max()  # no smaller than the 2-norm
+    if rough > MESH.steepest and _growths(curve, solution).max() > MESH.steepest:
+        return True
+    if not ((some / allowed) ** 0.125).sum() * MESH.spare < some.size:
         return False
     errors = _errors(curve, solution)
     return bool(wanted_steps(curve, solution, errors).sum() < 0.5 * errors.size)
@@ -81,13 +84,6 @@ def _growths(curve: Curve, solution: Solution) -> np.ndarray:
     return np.array([np.linalg.norm(block, 2) for block in _blocks(curve, solution)])
 
 
-def _steep(curve: Curve, solution: Solution) -> bool:
-    """Whether a segment has grown beyond `MESH.steepest`, looked at closely where its entries are as large."""
-    if not np.linalg.norm(_blocks(curve, solution), axis=(1, 2)).max() > MESH.steepest:
-        return False
-    return bool(_growths(curve, solution).max() > MESH.steepest)
-
-
 def _blocks(curve: Curve, solution: Solution) -> np.ndarray:
     units = curve.scales.states
     blocks = solution.march.transitions * units / units[:, None]
@@ -96,18 +92,14 @@ def _blocks(curve: Curve, solution: Solution) -> np.ndarray:
     return np.asarray(blocks)
 
 
-def _density(errors: np.ndarray, allowed: float) -> np.ndarray:
-    """(error / allowed)^(1/8), the number of steps that each present step should become."""
-    return (errors / allowed) ** 0.125
-
-
 def wanted_steps(curve: Curve, solution: Solution, errors: np.ndarray) -> np.ndarray:
-    """The same (M) for the motion, whose `errors` are known, and its variations, of which every third step is asked."""
+    """(error / allowed)^(1/8), the number of steps that each present one (M) should become, for the motion, whose
+    `errors` are known, and its variations, of which every third step is asked."""
     place, units = solution.place, curve.scales.states
     asked = np.arange(0, errors.size, MESH.sampled)
     varied = curve.equations.march.variation_errors(solution.march.states, place.mesh, place.tail, units, asked)
-    variations = np.repeat(_density(varied, MESH.variation_error), MESH.sampled)[: errors.size]
-    return np.asarray(np.maximum(_density(errors, _allowed(curve)), variations))
+    variations = np.repeat((varied / MESH.variation_error) ** 0.125, MESH.sampled)[: errors.size]
+    return np.asarray(np.maximum((errors / _allowed(curve)) ** 0.125, variations))
 
 
 def _spread(density: np.ndarray) -> np.ndarray:
@@ -135,15 +127,21 @@ def remeshed(curve: Curve, solution: Solution) -> Unknowns:
         if place.steps > 1:  # of a first guess: each is an interval
             place = replace(place, nodes=solution.march.states[:-1])
         return regridded(march, place)
-    density = _spread(np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15))
-    growth = float(np.log(np.maximum(_growths(curve, solution), 1.5)).sum())
-    count = int(np.clip(np.ceil(growth / np.log(MESH.growth)), _fewest(curve), MESH.most_segments))
-    if not density.sum() < MESH.most_steps:
-        raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
+    (density,), count = _asked(curve, solution, _fewest(curve), 1)
     each = _rounded(density.sum() / count)
     mesh = _graded(density, place.mesh, count * each)
     nodes = between(curve, solution, mesh[each:-1:each])
     return replace(place, nodes=np.vstack([place.nodes[:1], nodes]), mesh=mesh)
+
+
+def _asked(curve: Curve, solution: Solution, fewest: int, arcs: int) -> tuple[np.ndarray, int]:
+    """The density (arcs x M) of a fresh mesh, and the segments of each arc, `fewest` at least."""
+    density = np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15).reshape(arcs, -1)
+    density = np.array([_spread(part) for part in density])
+    growth = np.log(np.maximum(_growths(curve, solution), 1.5)).reshape(arcs, -1).sum(axis=1).max()
+    if not density.sum() < MESH.most_steps:
+        raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
+    return density, int(np.clip(np.ceil(growth / np.log(MESH.growth)), fewest, MESH.most_segments))
 
 
 def between(curve: Curve, solution: Solution, moments: np.ndarray) -> np.ndarray:
@@ -161,12 +159,7 @@ def between(curve: Curve, solution: Solution, moments: np.ndarray) -> np.ndarray
 def _remeshed_arcs(curve: Curve, solution: Solution) -> Unknowns:
     """The same arc by arc of a hybrid orbit, of which each has as many segments and steps as the others."""
     place, arcs = solution.place, curve.equations.links.count
-    density = np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15).reshape(arcs, -1)
-    density = np.array([_spread(part) for part in density])
-    growth = np.log(np.maximum(_growths(curve, solution), 1.5)).reshape(arcs, -1).sum(axis=1).max()
-    count = int(np.clip(np.ceil(growth / np.log(MESH.growth)), np.ceil(MESH.least_nodes / arcs), MESH.most_segments))
-    if not density.sum() < MESH.most_steps:
-        raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
+    density, count = _asked(curve, solution, int(np.ceil(MESH.least_nodes / arcs)), arcs)
     each, steps = _rounded(density.sum(axis=1).max() / count), density.shape[1]
     meshes, nodes = [], []
     for k, own in enumerate(density):

@@ -46,11 +46,6 @@ class NewtonSettings(Settings):
         """Those of the halved steps on the coarse march."""
         return replace(self, floor=self.handover, converged=self.handover, halving=True)
 
-    @cached_property
-    def unconfirmed(self) -> NewtonSettings:
-        """Those of chord steps on a march that is still to be confirmed."""
-        return replace(self, floor=self.rough)
-
 
 @dataclass(frozen=True)
 class Refined(Shown):
@@ -96,7 +91,7 @@ class Newton:
 
     def _approach(self, w: Unknowns, path: Varied | None) -> tuple[Unknowns, Solver]:
         """Halved steps on the coarse march until the residual is small."""
-        chosen, paths, solvers = self.settings, [path], list[Solver]()
+        chosen, paths, solvers = self.settings, [path], []
 
         def linearised(w: Unknowns) -> tuple[np.ndarray, Solver]:
             path = paths.pop() if paths else self._varied(w)
@@ -129,8 +124,9 @@ class Newton:
         cut = w.nodes.size
         scale = max(1.0, float(np.abs(w.vector[:cut] / self.measures.columns[:cut]).max()))
         rows = self._rows(w)
+        rough = replace(self.settings, floor=self.settings.rough)  # for a march that is still to be confirmed
         for _ in range(self.settings.most_doublings):
-            solved = self._chord(w, rows, solver, self.settings.unconfirmed)
+            solved = self._chord(w, rows, solver, rough)
             solver, coarse = solved.solver, solved.rows
             w = solved.w.on(divided(solved.w.mesh, 2))
             rows = self._rows(w)

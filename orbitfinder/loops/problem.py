@@ -27,7 +27,7 @@ from orbitfinder.loops.conditions import (
 )
 from orbitfinder.loops.control import Control
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
-from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
+from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of
 from orbitfinder.loops.watch import Number, watches
 from orbitfinder.mechanics.constrained import maximal_states
 from orbitfinder.mechanics.controls import actuated, check_constant
@@ -487,7 +487,7 @@ def _check_objective(problem: Problem) -> None:
 def _check_forcing(problem: Problem) -> None:
     model = problem.model
     if model.forcing_period is None:
-        if time_dependent(model):
+        if (model.rates or model.acceleration).jac_sparsity(0, 0).nnz():  # the time is in them
             raise InputError(
                 "system: its equations depend on time; declare the period of that, Symbols(..., forcing_period=...)"
             )
@@ -591,7 +591,7 @@ def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.nd
 
 
 def whole_turns(
-    model: Model, start: np.ndarray, end: np.ndarray, relative: Sequence[Sequence[float]] = (), nearest: bool = False
+    model: Model, start: np.ndarray, end: np.ndarray, relative: Sequence[Sequence[float]], nearest: bool = False
 ) -> np.ndarray | None:
     """Whole turns of each angle (n) between two states beside a shift along `relative` directions; None when they do
     not come near whole numbers, unless the `nearest` are wanted (of a clock that is among the states)."""
@@ -599,16 +599,6 @@ def whole_turns(
     turned = beside(turned, relative)
     whole = np.round(turned)
     return whole if nearest or np.all(np.abs(turned - whole) <= WINDING_MARGIN) else None
-
-
-def segments_needed(equations: Equations, w: Unknowns, clock: float, growth: float, between: tuple[int, int]) -> int:
-    """As many segments as keep each state-transition matrix below `growth`, by the matrix of w in one segment.
-
-    Rates are measured by `clock` (s). Raises `IntegrationError`.
-    """
-    return segments_for(
-        equations.varied(w).transitions[0], clocked(equations.model, clock, w.nodes[0]), growth, between
-    )
 
 
 def clocked(model: Model, clock: float, state: np.ndarray | None = None) -> np.ndarray:

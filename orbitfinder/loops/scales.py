@@ -160,9 +160,9 @@ class Measures:
         )
 
 
-def floored(sizes: np.ndarray, share: float = 1e-3) -> np.ndarray:
+def floored(sizes: np.ndarray) -> np.ndarray:
     """Sizes, none of them below a share of the largest or 0."""
-    return nonzero(np.maximum(sizes, share * sizes.max()))
+    return nonzero(np.maximum(sizes, 1e-3 * sizes.max()))
 
 
 def control_sizes(strength: np.ndarray, period: float, unused: float = 1.0) -> np.ndarray:

@@ -637,13 +637,13 @@ def _apart(
     """
     t, q, v = at
     places = involution.places(q.size)
+    image = involution.sense * t + shift, places @ q
     if model.rates is not None:
         here = involution.sense * places @ model.rates(t, q, model.parameter_values).full().ravel()
-        there = model.rates(involution.sense * t + shift, places @ q, model.parameter_values).full().ravel()
-        return float(np.abs((there - here) / lengths).max()), float(np.abs(here / lengths).max())
-    here = places @ model.acceleration(t, q, v, model.parameter_values).full().ravel()
-    image = (involution.sense * t + shift, places @ q, involution.sense * (places @ v))
-    there = model.acceleration(*image, model.parameter_values).full().ravel()
+        there = model.rates(*image, model.parameter_values).full().ravel()
+    else:
+        here = places @ model.acceleration(t, q, v, model.parameter_values).full().ravel()
+        there = model.acceleration(*image, involution.sense * (places @ v), model.parameter_values).full().ravel()
     return float(np.abs((there - here) / lengths).max()), float(np.abs(here / lengths).max())
 
 
@@ -825,11 +825,6 @@ def _crossings(times: np.ndarray, pieces: np.ndarray, level: float) -> np.ndarra
     roots = roots[np.isfinite(roots)]
     own = np.minimum(np.searchsorted(begins, roots, side="right") - 1, near.size - 1)
     return np.asarray(times[near[own]] + roots - begins[own])
-
-
-def time_dependent(model: Model) -> bool:
-    """True when the accelerations contain time explicitly."""
-    return bool((model.rates or model.acceleration).jac_sparsity(0, 0).nnz())
 
 
 def moved(model: Model, free: Sequence[str]) -> Model:

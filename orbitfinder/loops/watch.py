@@ -98,7 +98,7 @@ def arcs(times: np.ndarray) -> list[slice]:
 def _stated(text: str, model: Model, where: str) -> Number:
     """The number of a text in which max(), min(), mean(), amplitude() and phase() are over the motion."""
     x, p, period = ca.SX.sym("x", len(model.state_names)), ca.SX.sym("p", len(model.parameter_names)), ca.SX.sym("T")
-    reductions = list[tuple[Callable[[np.ndarray, np.ndarray], float], Any, Any]]()
+    reductions = []
 
     def over(reduce: Callable[[np.ndarray, np.ndarray], float]) -> Callable[[Any], Any]:
         def reduced(inner: Any) -> Any:

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from orbitfinder.continuation.problem import Point, solved
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError
 from orbitfinder.integrate.residual import Residual
 from orbitfinder.loops.conditions import PHASE, Pin
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
@@ -105,7 +105,7 @@ def _trajectories(model: Model, guess: Guess, n: int) -> Iterator[tuple[np.ndarr
     if guess.trajectory is not None:
         yield guess.trajectory
     elif n <= SMALL and np.any(guess.state):
-        with suppress(ConvergenceError, IntegrationError):
+        with suppress(*UNSOLVED):
             yield cast(Any, lap(model, guess).trajectory)
     if not model.forced:
         turn, (place, rate) = np.linspace(0.0, 2 * np.pi, SAMPLES + 1), np.split(np.asarray(guess.state, float), 2)

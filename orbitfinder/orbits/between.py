@@ -35,22 +35,24 @@ CLOSER, BEYOND = 513, 1e-9
 """Looks at a guard where it is not on its curve, and by what share of its largest height it is beyond 0"""
 
 
-def early_return(
-    trace: Trace, apart: np.ndarray, also: Callable[[float], float] | None = None
-) -> tuple[float, float | None]:
+def early_return(trace: Trace, turned: np.ndarray, also: Callable[[float], float] | None) -> tuple[float, float | None]:
     """How near a closed motion is to itself a time t < T later, in extents, and that time (None: it does not return).
 
     t is where |x(b + t) - x(b) - t drift / T| has a minimum, b the moment of its fastest motion; where whole turns
-    `apart` (n) are left, a prime part of T that divides them all. `also(t)` is asked where the motion is the same.
+    `turned` (n) are left, a prime part of T that divides them all. `also(t)` is asked where the motion is the same.
     """
-    period, turns = float(trace.moments[-1]), gcd(*(abs(int(k)) for k in np.rint(apart)))
+    period, turns = float(trace.moments[-1]), gcd(*(abs(int(k)) for k in np.rint(turned)))
     if turns:
         lags = period / np.array(primes(turns), float)
         far = np.zeros(lags.size)
     else:
         lags, far = _returns(trace)
     for k in np.flatnonzero(far <= SAME):
-        far[k] = max(far[k], _later(trace, lags[k]), also(lags[k]) if also else 0.0)
+        moments = np.linspace(0.0, period, ALONG, endpoint=False)
+        over = moments + lags[k] >= period
+        there = trace.at(np.where(over, moments + lags[k] - period, moments + lags[k])) + over[:, None] * trace.drift
+        apart = float(np.abs(there - trace.at(moments) - lags[k] / period * trace.drift).max())
+        far[k] = max(far[k], apart, also(lags[k]) if also else 0.0)
     if not far.size:
         return float(np.ptp(trace.states - trace.moments[:, None] / period * trace.drift, axis=0).max()), None
     return float(far.min()), float(lags[far <= max(far.min(), 0.1 * SAME)].min())
@@ -96,15 +98,6 @@ def _returns(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     lag = lag % period
     own = (lag > AGAIN * period) & (lag < (1 - AGAIN) * period)  # a motion that does not close has minima at its seam
     return np.append(lag[own], lags[others] % period), np.append(polished[own], np.abs(off[others]).max(axis=1))
-
-
-def _later(trace: Trace, lag: float) -> float:
-    """The largest distance between a motion and itself a time later."""
-    period = float(trace.moments[-1])
-    moments = np.linspace(0.0, period, ALONG, endpoint=False)
-    over = moments + lag >= period
-    there = trace.at(np.where(over, moments + lag - period, moments + lag)) + over[:, None] * trace.drift
-    return float(np.abs(there - trace.at(moments) - lag / period * trace.drift).max())
 
 
 def overlooked(trace: Trace, looks: int = LOOKS) -> tuple[float, float, int]:
@@ -155,7 +148,7 @@ def risen(
     trace: Trace,
     height: Callable[[np.ndarray], np.ndarray],
     climb: Callable[[np.ndarray], np.ndarray],
-    looks: int = LOOKS,
+    looks: int,
 ) -> np.ndarray:
     """States (k x n) beyond a guard whose height (m, of states m x n) rises through 0 on the way, for however short;
     `climb` is the rate of the height.

@@ -378,7 +378,12 @@ def _smooth_checks(trial: Trial) -> Iterator[Check | None]:
     if model.canonical:
         yield at_most("symplectic", seen.tour.asymplectic, max(allowed.symplectic, kept), "Phi^T J Phi = J")
     yield trial.unfolding(10 * gap, always=bool(model.invariants))
-    yield from _constraint_checks(trial)
+    if model.constraint is not None:  # and by IDAS on the native DAE
+        units, gone = seen.extents, turned(model, trial.turns, orbit.shift)
+        defect = constraint_defect(model, orbit.state, units)
+        yield at_most("constraint", defect, allowed.constraint, "largest |phi|, |J v| of the state, relative")
+        returned = native_closure(model, orbit.state, orbit.period, gone, units)
+        yield at_most("native_closure", returned, allowed.native_closure * trial.scale, "IDAS on the native DAE")
     yield from _record_checks(trial, seen, max(allowed.multipliers, passing))
     for name, times, states, share in _pictured(orbit):
         there = seen.motion.states[np.searchsorted(seen.motion.times, times)]
@@ -433,7 +438,9 @@ def _hybrid_checks(trial: Trial) -> Iterator[Check | None]:
     yield at_most("energy_balance", seen.balance, allowed.energy_drift + gap, "energy lost in impacts")
     yield _minimal_cycle(trial, seen.arcs)
     yield trial.moving()
-    yield _hybrid_resolution(model, seen)
+    found, width, crossed = unseen(model, seen)
+    missed = f"the guard of {crossed} is crossed where the simulation saw nothing"
+    yield at_most("resolution", 1.0, RESOLVED, missed) if crossed else between_steps(found, width, "an arc")
     yield at_least("transversal", seen.transversal, allowed.transversal, "least rate of a guard, relative")
     if np.isfinite(seen.decided):
         yield at_least("decided", seen.decided, allowed.transversal, "least |allowed| at a crossing, relative")
@@ -470,15 +477,6 @@ def holding(least: Iterable[tuple[str, float]], allowed: Tolerances) -> Iterator
         yield at_least(f"holds: {name}", value, -allowed.holds, "least value along the motion")
 
 
-def _hybrid_resolution(model: Model, seen: HybridEvidence) -> Check:
-    """No feature of the modes' equations, and no crossing of a guard, between two steps of the simulation."""
-    found, width, crossed = unseen(model, seen)
-    if crossed:
-        note = f"the guard of {crossed} is crossed where the simulation saw nothing"
-        return at_most("resolution", 1.0, RESOLVED, note)
-    return between_steps(found, width, "an arc")
-
-
 def _minimal_cycle(trial: Trial, arcs: Sequence[Arc]) -> Check | None:
     """The recorded cycle is gone through once: no earlier event brings the motion back to its beginning."""
     names = [arc.ended_by for arc in arcs]
@@ -501,17 +499,6 @@ def _turns(orbit: Orbit, model: Model) -> np.ndarray:
     if any(abs(k) > MOST_TURNS for k in orbit.winding):
         raise InputError(f"winding: more than {MOST_TURNS} turns in a period; run the problem again")
     return np.asarray(orbit.winding, int)
-
-
-def _constraint_checks(trial: Trial) -> Iterator[Check]:
-    """The state on the constraints and, by IDAS on the native DAE, back where it was after a period."""
-    orbit, model, units = trial.orbit, trial.model, trial.seen.extents
-    if model.constraint is None:
-        return
-    defect = constraint_defect(model, orbit.state, units)
-    yield at_most("constraint", defect, trial.allowed.constraint, "largest |phi|, |J v| of the state, relative")
-    returned = native_closure(model, orbit.state, orbit.period, turned(model, trial.turns, orbit.shift), units)
-    yield at_most("native_closure", returned, trial.allowed.native_closure * trial.scale, "IDAS on the native DAE")
 
 
 def _forcing_check(orbit: Orbit, model: Model) -> Check | None:

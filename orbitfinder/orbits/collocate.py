@@ -15,7 +15,7 @@ import numpy as np
 
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.errors import UNSOLVED, ConvergenceError, IntegrationError
 from orbitfinder.integrate.collocation import Collocation
 from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.integrate.march import March, uniform
@@ -178,7 +178,7 @@ def _refined(
                 return [now]
             for _ in range(2):  # the mesh of an orbit that is known, and that of the better one
                 now = closed(problem, equations, regridded(march, now, count))
-        except (ConvergenceError, IntegrationError) as error:
+        except UNSOLVED as error:
             failed, count = str(error), FINER * count
             continue
         solved.append(now)

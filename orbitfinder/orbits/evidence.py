@@ -206,17 +206,14 @@ def canonical_motion(
         missed = nodes[-1] - start - shift(turns[chosen[: masses.size]], start.size)
         action -= float(nodes[-1, half:] @ missed[:half])
     gradients, directions, constraints = equations.frame(state, start)
-    own = turns[chosen[: equations.coordinates.size]]
+    own, reach = turns[chosen[: equations.coordinates.size]], None
+    if first_order and equations.field.stiff:
+        reach = np.array([traces[0].states.min(axis=0), traces[0].states.max(axis=0)]) * units
     return Motion(
         moments, equations.states(path), path, transitions, action, equations.field(0.0, start), gradients, directions,
         masses, own, drifting(traces[0], own, units), GIVEN if first_order else HAMILTON, constraints,
-        nodes[:-1], equations.field, _reach(traces[0], units) if first_order and equations.field.stiff else None,
+        nodes[:-1], equations.field, reach,
     )  # fmt: skip
-
-
-def _reach(trace: Trace, units: np.ndarray) -> np.ndarray:
-    """The least and the largest of a motion in `units` (m)."""
-    return np.asarray(np.array([trace.states.min(axis=0), trace.states.max(axis=0)]) * units)
 
 
 def drifting(trace: Trace, turns: np.ndarray, units: np.ndarray) -> Trace:
@@ -236,14 +233,13 @@ def units_of(
     first = np.abs(start) + period * np.abs(rate) + period * np.where(np.isfinite(turned), turned, 0.0)
     if not np.all(np.isfinite(first) & (first < 1e100)):
         return np.ones(start.size)
-    rates = partial(_rates, field)
+
+    def rates(states: np.ndarray) -> np.ndarray:
+        return np.array([field(0.0, state) for state in states])
+
     units = in_momenta(first, masses, period, angular, acting(rates, start[None]))
     path = integrate_in(units, field, start, np.linspace(0.0, period, 65), ROUGH)
     return known_in(path, masses, period, angular, acting(rates, path))
-
-
-def _rates(field: VectorField, states: np.ndarray) -> np.ndarray:
-    return np.array([field(0.0, state) for state in states])
 
 
 def known_in(path: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None, acts: Acts) -> np.ndarray:

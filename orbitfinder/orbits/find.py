@@ -63,7 +63,8 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
         began = time.perf_counter()
         problem.check_count()
         hint(degrees_taken_for_radians(problem))
-        orbit, model = solved(problem, settings, _reporter(progress, began), began)
+        elapsed = progress and (lambda event: progress(replace(event, elapsed=time.perf_counter() - began)))
+        orbit, model = solved(problem, settings, elapsed, began)
         if settings.with_certificate:
             orbit = certified(orbit, model)
             hint(unexplained_multipliers(problem, orbit))
@@ -71,12 +72,6 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
         if progress:
             progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
         return orbit
-
-
-def _reporter(progress: Callback | None, began: float) -> Callback | None:
-    if progress is None:
-        return None
-    return lambda event: progress(replace(event, elapsed=time.perf_counter() - began))
 
 
 def hint(text: str) -> None:

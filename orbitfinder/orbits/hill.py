@@ -133,14 +133,6 @@ def proved(problem: Balanced, w: Coefficients) -> bool:
     return problem.equations.size > MOST_MODES and not about.values.size and about.rest < 0
 
 
-def _trivial(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarray]:
-    """The gradient of the energy and the direction of a free motion (1 x 2n each), over (u, u')."""
-    motion, equations = problem.basis.motion(problem.coefficients(w), np.zeros(1)), problem.equations
-    pace = np.repeat([1.0, equations.pace(problem.values(w))], equations.size)
-    state, along = (np.concatenate(pair)[:, 0] for pair in (motion[:2], motion[1:]))
-    return (pace * equations.at_start(equations.level, pace * state)[1])[None], along[None]
-
-
 @one_thread()
 def _reduced(problem: Balanced, w: Coefficients, finer: int = 1) -> tuple[np.ndarray | None, int, float]:
     """A root of the monodromy, of free motions on their level of energy modulo their own direction, of which power that
@@ -186,8 +178,10 @@ def _reduced(problem: Balanced, w: Coefficients, finer: int = 1) -> tuple[np.nda
     off = (1 + even) * truncated(fastest * length, steps)
     if equations.names:
         return root, 1 + odd, off
-    gradient, along = _trivial(problem, w)
-    gradient, along = gradient * units, along / units
+    motion, pace = basis.motion(coefficients, np.zeros(1)), np.repeat([1.0, equations.pace(values)], n)
+    state, ahead = (np.concatenate(pair)[:, 0] for pair in (motion[:2], motion[1:]))
+    gradient = (pace * equations.at_start(equations.level, pace * state)[1])[None] * units  # of the energy
+    along = ahead[None] / units
     lost = (relative(root @ along[0] - along[0], along[0]), relative(gradient[0] @ root - gradient[0], gradient[0]))
     return reduce_monodromy(root, gradient, along), 1 + odd, (1 + odd) * max(off, *lost)
 
@@ -211,7 +205,7 @@ def _few(problem: Balanced, w: Coefficients) -> Exponents:
     there = suspects - (spacing - 1.0)  # e^(i f tau) is e^(s tau) times an order, f - 1 is 0 among odd ones
     there = np.abs((there + spacing / 2) % spacing - spacing / 2)
     shifts = np.rint(there / NEARBY) * NEARBY
-    values, places = list[complex](), sorted({*shifts.tolist(), *([0.0] if more else [])})
+    values, places = [], sorted({*shifts.tolist(), *([0.0] if more else [])})
     for shift in places[:MOST_SHIFTS]:
         own = shifts == shift
         needed = float((np.abs(there[own] - shift) + reaches[own]).max(initial=0.0))
@@ -240,7 +234,7 @@ def _few(problem: Balanced, w: Coefficients) -> Exponents:
 
 def _growing(problem: Balanced, w: Coefficients, values: list[complex]) -> list[complex]:
     """Those of a free motion that grow, known far better from there, each with its partner that decays as fast."""
-    picked = list[complex]()
+    picked = []
     for value in values:
         if value.real > GROWN:
             near = complex(_about(problem, w, value, 1)[0][0])
@@ -326,7 +320,7 @@ def _suspects(problem: Balanced, w: Coefficients) -> tuple[np.ndarray, np.ndarra
     rest, picked = -0.5 * seen.least, dict[int, float]()  # where c is less than half of what would let it grow
     upper, between = np.triu_indices(frequencies.size), np.sqrt(np.outer(frequencies, frequencies))
     allowed, sums = np.sqrt(np.outer(decays, decays))[upper], frequencies[:, None] + frequencies
-    couplings, shares, seconds = dict[int, Any](), dict[int, Any](), defaultdict[int, Any](lambda: 0 * sums)
+    couplings, shares, seconds = {}, {}, defaultdict[int, Any](lambda: 0 * sums)
     for k in (np.flatnonzero(worth > SLIGHT * worth.max(initial=0.0)) + 1).tolist():
         coupling = 0 * sums
         for kind in (0, 1):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.errors import UNSOLVED, ConvergenceError
 from orbitfinder.integrate.automaton import Arc, Automaton, arcs_along
 from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, Trace
 from orbitfinder.integrate.equations import invariant_gradients
@@ -111,7 +111,7 @@ def carried(equations: Equations, like: Unknowns, guess: Guess) -> Unknowns:
     free, steps, x = like.free.copy(), like.steps, np.asarray(guess.state, float)
     for name, value in guess.free.items():
         free[equations.free.index(name)] = value
-    w, nodes = replace(like, period=float(guess.period), free=free), list[np.ndarray]()
+    w, nodes = replace(like, period=float(guess.period), free=free), []
     if guess.times is None and guess.states is not None and np.shape(guess.states) == like.nodes.shape:
         return replace(w, nodes=np.asarray(guess.states, float))
     ends = equations.links.ends(len(like.nodes))
@@ -203,7 +203,7 @@ def retraced(equations: Equations, found: Solution) -> Solution:
     """A hybrid orbit whose states at its mesh are those of the automaton's integrator, over durations that are told."""
     w, links = found.place, equations.links
     model = with_parameters(equations.model, dict(zip(equations.free, map(float, w.free), strict=True)))
-    automaton, arcs, states, ends = Automaton(model), links.count, list[np.ndarray](), found.march.ends.copy()
+    automaton, arcs, states, ends = Automaton(model), links.count, [], found.march.ends.copy()
     steps, x, last = (w.mesh.size - 1) // arcs, w.nodes[0], links.ends(len(w.nodes))
     units = snapped(nonzero(np.ptp(found.march.states, axis=0)))
     for k, ((mode, one), lasts) in enumerate(zip(model.arcs, links.shares(w.free), strict=True)):
@@ -216,7 +216,7 @@ def retraced(equations: Equations, found: Solution) -> Solution:
 
 def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:
     """The Orbit (without certificate) of a refined one."""
-    model, turns, along = problem.model, np.asarray(refined.turns, int), dict[str, float]()
+    model, turns, along = problem.model, np.asarray(refined.turns, int), {}
     if problem.relative:
         end = cycle_from(model, refined.state, longest=PATIENCE * refined.period)[-1].after
         along = shift_along(model, problem.relative, refined.state, end, turns)
@@ -239,14 +239,14 @@ def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray
     """The gap in `units` of the automaton simulated at a second tolerance; infinite where it takes another way."""
     try:
         arcs = cycle_from(model, state, SECOND, PATIENCE * period)
-    except (ConvergenceError, IntegrationError):
+    except UNSOLVED:
         return np.inf
     return gap(state, arcs[-1].after, turns, units)
 
 
 def _variations(automaton: Automaton, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], float]:
     """State-transition matrices of pieces of all arcs, the last of each through its event; and the action."""
-    found, action, units = list[np.ndarray](), 0.0, automaton.units
+    found, action, units = [], 0.0, automaton.units
     modes = [automaton.hybrid.mode(one.mode).model for one in arcs]
     for k, arc in enumerate(arcs):
         field, x, size = automaton.varied(arc.mode), arc.states[0], arc.states.shape[1]
@@ -332,7 +332,7 @@ class HybridCheck(ClosureCheck):
     """
 
     def __init__(self, model: Model) -> None:
-        self._model, self._at, self._automaton = model, dict[str, float](), Automaton(model)
+        self._model, self._at, self._automaton = model, {}, Automaton(model)
 
     def __call__(
         self,

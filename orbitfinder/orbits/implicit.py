@@ -263,7 +263,7 @@ class Implicit:
     ) -> tuple[np.ndarray, list[np.ndarray], float]:
         """States as of `path`, what becomes of all variations (2n x 2n) in each of its pieces, and what that is off by
         beside the steps. Where these have `resolved` the fastest mode, variations of some of them are told apart."""
-        now, h, pieces, off = np.asarray(state, float), period / steps, list[np.ndarray](), 0.0
+        now, h, pieces, off = np.asarray(state, float), period / steps, [], 0.0
         path, a, reach = [now], self._start(now), 2 * TOGETHER if resolved else self.residual.size
         local = self._compressed(reach)
         for begin in range(0, steps, steps // PIECES):

@@ -9,7 +9,7 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import Registry, shown
 from orbitfinder._runtime.rooms import filled
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
+from orbitfinder.errors import UNSOLVED, InputError, closest
 from orbitfinder.integrate.march import March
 from orbitfinder.loops.ipopt import Callback, SolveSettings
 from orbitfinder.loops.loop import Equations, Unknowns
@@ -94,13 +94,13 @@ def solved(problem: Problem, settings: SolveSettings, progress: Callback | None,
     name, method, why = method_of(problem, asked)
     try:
         given = method.find(problem, settings, progress, began)
-    except (ConvergenceError, IntegrationError) as error:
+    except UNSOLVED as error:
         other = rescuer(problem, name)
         if asked is not None or other is None:
             raise
         try:
             given = METHODS[other].find(problem, settings, progress, began)
-        except (ConvergenceError, IntegrationError):
+        except UNSOLVED:
             raise error from None
         name, method, why = other, METHODS[other], f"{name} failed: {error}"
     kinds = [type(part) for part in given] if isinstance(given, tuple) else []

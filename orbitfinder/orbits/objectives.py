@@ -189,7 +189,7 @@ def _peak(
         raise InputError(
             f"coordinate: {problem.model.state_names[place]} turns over and over and has no amplitude; choose another"
         )
-    heights: list[float] = []
+    heights = []
     for _ in range(ROUNDS):
         # with t = 0 of the guess at the peak of the component, and the objective about that
         n = problem.model.degrees_of_freedom

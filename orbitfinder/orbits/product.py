@@ -121,14 +121,8 @@ class Product:
         return np.asarray(np.sqrt(np.asarray(accuracy) ** 2 @ each**2) + self.missed * each.max(axis=0))
 
 
-def _qr(matrix: np.ndarray, above: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Q, R, which is what is `above`: by LAPACK itself, for of small ones NumPy's takes ten times as long."""
-    factors, scales, *_ = dgeqrf(matrix)
-    return dorgqr(factors, scales)[0], np.where(above, factors, 0.0)
-
-
 def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """matrix^-1 right, likewise."""
+    """matrix^-1 right, by LAPACK itself."""
     _, _, found, singular = dgesv(matrix, right)
     if singular:
         raise np.linalg.LinAlgError("singular matrix")
@@ -145,9 +139,10 @@ def product(factors: Sequence[np.ndarray] | np.ndarray) -> Product:
     for _ in range(MOST_PASSES):
         frames, upper = [frame], []
         for one in factors:
-            frame, triangle = _qr(one @ frame, above)
+            reflected, scales, *_ = dgeqrf(one @ frame)  # by LAPACK itself: of small ones NumPy takes ten times as long
+            frame = dorgqr(reflected, scales)[0]
             frames.append(frame)
-            upper.append(triangle)
+            upper.append(np.where(above, reflected, 0.0))
         seam = frames[0].T @ frame
         below = np.array([np.abs(seam[k:, :k]).max() for k in range(1, size)])
         sizes = np.log(np.abs(np.diagonal(upper, axis1=1, axis2=2)) + LEAST).sum(axis=0)

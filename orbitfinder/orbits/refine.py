@@ -16,7 +16,7 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.notebook import Shown, brief
-from orbitfinder.errors import ConvergenceError, CountError, InputError, IntegrationError, plural
+from orbitfinder.errors import UNSOLVED, ConvergenceError, CountError, InputError, IntegrationError, plural
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Equations, Unknowns
@@ -26,9 +26,10 @@ from orbitfinder.loops.problem import (
     Problem,
     at_forcing_period,
     check_guessed,
+    clocked,
     guessed_nodes,
     loop_of,
-    segments_needed,
+    segments_for,
     without_choice,
 )
 from orbitfinder.loops.scales import Measures
@@ -112,13 +113,13 @@ class Refiner(Shown):
         pins, given = _pins(self.problem, pin), _checked(guess or self.problem.guess, self.problem, self.equations.free)
         if self._first is None:
             if self._fewest < self.segments:  # more may lead astray
-                with suppress(ConvergenceError, IntegrationError):
+                with suppress(*UNSOLVED):
                     return self._solved(self._start(given, pins, self.segments), pins)
             return self._solved(self._start(given, pins, self._fewest), pins)
         if given is self.problem.guess:
             return self._solved(self._first, pins)
         if not simulated and given.times is None:
-            with suppress(ConvergenceError, IntegrationError):
+            with suppress(*UNSOLVED):
                 return self._solved(carried(self.equations, self._first, given), pins)
         return self._solved(self._begun(given), pins)
 
@@ -199,9 +200,9 @@ class Refiner(Shown):
         mesh = uniform(self.problem.boundary.fraction, 1, steps)
         w = self.equations.unknowns(np.asarray(guess.state, float)[None], guess.period, mesh)
         try:
-            return segments_needed(
-                self.equations, w, guess.period / (2 * np.pi), self.settings.growth_per_segment, (1, most)
-            )
+            matrix, clock = self.equations.varied(w).transitions[0], guess.period / (2 * np.pi)
+            units = clocked(self.problem.model, clock, w.nodes[0])
+            return segments_for(matrix, units, self.settings.growth_per_segment, (1, most))
         except IntegrationError:
             return most
 

@@ -123,7 +123,7 @@ def checked_state(model: Model, state: Sequence[float] | np.ndarray) -> np.ndarr
 def _simulated(model: Model, state: np.ndarray, times: np.ndarray) -> Simulation:
     """The motion of a hybrid Model at equal times, arc by arc."""
     automaton = Automaton(model, longest=float(times[-1]) / LEAST_STEPS)
-    rows, parts, events = list[np.ndarray](), list[np.ndarray](), list[tuple[float, str]]()
+    rows, parts, events = [], [], []
     for arc in automaton.arcs(state, automaton.hybrid.first.name, float(times[-1])):
         own = times[(times >= arc.times[0]) & ((times < arc.times[-1]) | (arc.ended_by is None))]
         moments = np.concatenate([[arc.times[0]], own])

@@ -25,9 +25,9 @@ from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import Known, reached
 from orbitfinder.errors import (
+    FAILURES,
     ConvergenceError,
     InputError,
-    IntegrationError,
     LimitError,
     OrbitfinderError,
     closest,
@@ -203,7 +203,7 @@ def sweep(
     began, table = time.monotonic(), _table(problem, {**(values or {}), **named})
     if not 1 <= workers <= 256:
         raise InputError(f"workers: must be between 1 and 256, got {workers}")
-    visited: dict[int, Row] = {}
+    visited = {}
     path = None if out is None else Path(out) / problem.name / "sweep.jsonl"
     asked = {"system": dict(problem.model.system), **{name: getattr(problem, name) for name in ASKED}}
     free = freed(
@@ -380,7 +380,7 @@ class _Study:
         limited.check()
         try:
             orbit = self.refiner.orbit(self._reached(self.values[k]))
-        except (ConvergenceError, IntegrationError, InputError) as error:
+        except FAILURES as error:
             return Row(self.named(k), None, str(error))
         failed = ", ".join(orbit.certificate.failures) if orbit.certificate else "no certificate"
         return Row(self.named(k), orbit, failed and f"not certified: {failed}")
@@ -448,7 +448,7 @@ def _shared(
 ) -> Iterator[tuple[int, _Visit, bool]]:
     """The rows by spawned processes, each with a run of neighbouring values, or by a cluster in runs of a few; nothing
     for a run that is known."""
-    order, hands, left = np.argsort(study.values[:, 0], kind="stable"), list[processes.Hand](), list[tuple[Any, ...]]()
+    order, hands, left = np.argsort(study.values[:, 0], kind="stable"), [], []
     for part in np.array_split(order, -(-len(order) // RUN) if far else workers):
         values = study.values[part]
         known = [study.known[key] for key in map(tuple, values.tolist()) if key in study.known]

@@ -23,7 +23,7 @@ from orbitfinder._runtime.cluster import home, scheduler_at
 from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest, plural, shortened
+from orbitfinder.errors import FAILURES, ConvergenceError, InputError, closest, plural, shortened
 from orbitfinder.integrate.dop853 import SECOND, integrate_in
 from orbitfinder.integrate.equations import accelerations
 from orbitfinder.integrate.evaluate import one_thread
@@ -180,7 +180,7 @@ class Sampler:
     @cached_property
     def _motions(self) -> Crossings:
         field, restored = along_parameter(self.model, self.parameter, self.coordinate)
-        units, own = self.cut.units, abs(self.model.parameter_values[self.model.parameter_index(self.parameter)])
+        units, (own,) = self.cut.units, np.abs(self.model.values_of([self.parameter]))
         slope = [] if restored is None else [units[self.coordinate] / self.cut.clock]
         return Crossings(field, np.concatenate([units, [own or 1.0], slope]), restored=restored)
 
@@ -523,7 +523,8 @@ def verified(made: Bifurcation, model: Model) -> Certificate:
     lanes = [[*motions][k] for k in sorted(np.random.default_rng(0).permutation(len(motions))[:CHECKED])]
     off, gaps, failed = [0.0], [0.0], list[str]()
     for lane in lanes:
-        at, times = with_parameters(model, {made.parameter: float(made.values[lane[0]])}), _times(made, lane)
+        at = with_parameters(model, {made.parameter: float(made.values[lane[0]])})
+        times = made.times[(made.owners == lane).all(axis=1)]
         sampler = sampler_of(at, made.parameter, made.coordinate, made.plane)
         if model.smooth:
             pairs = [slice(k, k + 2) for k in range(0, made.count - 1, made.count // 3)]
@@ -533,7 +534,7 @@ def verified(made: Bifurcation, model: Model) -> Certificate:
         ):  # a machine's cycle has as many events as it says
             try:
                 gaps.append(_unsettled(at, motions[lane][-1], times[-1] - times[-1 - n], units))
-            except (ConvergenceError, IntegrationError, InputError) as error:
+            except FAILURES as error:
                 failed.append(str(error))
     if model.smooth:
         note = f"of {len(lanes)} motions by another integrator, in extents"
@@ -543,10 +544,6 @@ def verified(made: Bifurcation, model: Model) -> Certificate:
     )
     checks.append(at_most("settled", max(gaps), SETTLED, "from the certified orbit, times 1 - its largest multiplier"))
     return Certificate(tuple(checks))
-
-
-def _times(made: Bifurcation, lane: tuple[int, int]) -> np.ndarray:
-    return np.asarray(made.times[(made.owners == lane).all(axis=1)])
 
 
 def _missed(sampler: Sampler, states: np.ndarray, times: np.ndarray, units: np.ndarray) -> float:

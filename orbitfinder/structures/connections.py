@@ -29,7 +29,7 @@ import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.continuation.follow import Known, reached
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.dop853 import integrate_in
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.problem import Guess, Problem
@@ -167,7 +167,7 @@ def connect(
         tried += 1
         try:
             made = solved(guess)
-        except (ConvergenceError, IntegrationError):
+        except UNSOLVED:
             continue
         if _own(made) < ALLOWED.apart or any(_met(cut, made.states[made.chosen], other) for other in connections):
             continue
@@ -391,18 +391,11 @@ def certify_connection(connection: Connection, model: Model | None = None) -> Ce
     return _certificate(connection, model or build_model(connection.system))[0]
 
 
-class _Independent:
-    """Motions of a Model by DOP853 on the certificate's formulation, forwards and backwards."""
-
-    def __init__(self, model: Model) -> None:
-        self.model, self.hamiltonian = model, Hamiltonian(model)
-
-    def end(self, state: np.ndarray, duration: float) -> np.ndarray:
-        """The state after a time, which may be negative."""
-        field, sense, start = self.hamiltonian.field, float(np.sign(duration)), self.hamiltonian.start(state)
-        moments = np.array([0.0, abs(duration)])
-        path = integrate_in(floored(np.abs(start)), lambda t, y: sense * field(sense * t, y), start, moments)
-        return np.asarray(self.hamiltonian.states(path)[-1])
+def _end(equations: Hamiltonian, state: np.ndarray, duration: float) -> np.ndarray:
+    """The state after a time, which may be negative, by DOP853 on the certificate's formulation."""
+    sense, start, moments = float(np.sign(duration)), equations.start(state), np.array([0.0, abs(duration)])
+    path = integrate_in(floored(np.abs(start)), lambda t, y: sense * equations.field(sense * t, y), start, moments)
+    return np.asarray(equations.states(path)[-1])
 
 
 def _certificate(connection: Connection, model: Model) -> tuple[Certificate, float]:
@@ -411,10 +404,10 @@ def _certificate(connection: Connection, model: Model) -> tuple[Certificate, flo
     states, durations, ends = connection.states, connection.durations, (connection.origin, connection.goal)
     if not (np.isfinite(states).all() and np.isfinite(durations).all() and (durations > 0).all()):
         return Certificate((refused("finite", "a crossing or a duration is not a number"),)), np.inf
-    motion = _Independent(model)
+    motion = Hamiltonian(model)
     try:
-        came = np.array([motion.end(x, t) for x, t in zip(states, durations, strict=False)])
-        closed = [wrapped(motion.end(end.point, end.period) - end.point, model.angular) for end in ends]
+        came = np.array([_end(motion, x, t) for x, t in zip(states, durations, strict=False)])
+        closed = [wrapped(_end(motion, end.point, end.period) - end.point, model.angular) for end in ends]
         local = [_off(motion, end, x, sense) for end, x, sense in zip(ends, states[[0, -1]], (1, -1), strict=True)]
         chain = _chain(connection, model)
         linear = _linear(chain)
@@ -496,12 +489,12 @@ def _no_orbit(end: ConnectionEnd) -> Orbit:
     )  # fmt: skip
 
 
-def _off(independent: _Independent, end: ConnectionEnd, state: np.ndarray, sense: int) -> np.ndarray:
+def _off(equations: Hamiltonian, end: ConnectionEnd, state: np.ndarray, sense: int) -> np.ndarray:
     """How far (d) a start is off the local manifold, but for the flow: by a motion of a period from nearer by."""
-    model, turns = independent.model, 1 if end.multiplier > 0 else 2
+    model, turns = equations.model, 1 if end.multiplier > 0 else 2
     growth = _growth(end) ** turns
-    gap = wrapped(independent.end(end.point + end.place / growth * end.direction, sense * turns * end.period) - state,
-                  model.angular) / end.extents  # fmt: skip
+    later = _end(equations, end.point + end.place / growth * end.direction, sense * turns * end.period)
+    gap = wrapped(later - state, model.angular) / end.extents
     rate = vector_field(model)(0.0, state, [], []).full().ravel() / end.extents
     spanned = [end.direction / end.extents, *([] if model.forced else [rate])]
     along = np.linalg.qr(np.column_stack(spanned))[0]
@@ -578,7 +571,7 @@ def _next(known: Sequence[Connection], refiners: Sequence[Refiner], level: float
     chains = [(member.energy, _chain(member, model)) for member in known]
     try:
         chain = reached(chains, level, partial(_at_level, chains, refiners))
-    except (ConvergenceError, IntegrationError) as error:
+    except UNSOLVED as error:
         return str(error)
     return certified_connection(described(chain, name), model)
 

@@ -154,18 +154,15 @@ def deviating(field: ca.Function, units: np.ndarray) -> ca.Function:
 
 
 class Crossings:
-    """The motions of one field f(t, x, s, free), s and free 0 or `tail`, with components measured in `units` (d).
+    """The motions of one field f(t, x, s, free), s and free 0, with components measured in `units` (d).
 
     `restored` is what a state becomes after each step, where some of its components follow from others.
     """
 
-    def __init__(
-        self, field: ca.Function, units: np.ndarray, tail: np.ndarray | None = None,
-        restored: ca.Function | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, field: ca.Function, units: np.ndarray, restored: ca.Function | None = None) -> None:
         size = field.size1_in(2) + field.size1_in(3)
         self.field, self.size, self.units = field, int(field.size1_in(1)), np.asarray(units, float)
-        self.tail = np.zeros(size) if tail is None else np.asarray(tail, float)
+        self.tail = np.zeros(size)
         self.restored, self._lanes, self._made = restored, Lanes(), list[Any]()
 
     def stepped(self, times: np.ndarray, states: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -251,7 +248,8 @@ class _Run:
         self.states, k = states.copy(), len(states)
         self.times = np.broadcast_to(np.asarray(times, float), k).copy()
         self.rates = crossings.rates(self.times, states)
-        self.lengths = self._first()
+        pace = np.abs(self.rates / crossings.units).max(axis=1, initial=0.0)
+        self.lengths = np.minimum(0.01 / nonzero(pace), 0.01 * self.longest)  # to a hundredth of a unit
         self.since, self.crossed = np.zeros(k), np.zeros(k, int)
         self.noted, self.located, self.kept = list[np.ndarray](), list[np.ndarray](), 0
         own, going = self._watched(self.times, self.states, self.rates)
@@ -267,11 +265,6 @@ class _Run:
     def _unit(self) -> float:
         i = self.plane.component
         return 0.0 if i < 0 else float(self.of.units[i])
-
-    def _first(self) -> np.ndarray:
-        """A first length for each motion: what takes it a hundredth of a unit."""
-        pace = np.abs(self.rates / self.of.units).max(axis=1, initial=0.0)
-        return np.asarray(np.minimum(0.01 / nonzero(pace), 0.01 * self.longest))
 
     def _watched(self, times: np.ndarray, states: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The plane's component and its rate forwards in time; time itself counts from where it began."""

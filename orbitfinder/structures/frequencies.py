@@ -21,9 +21,9 @@ from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.evaluate import one_thread
-from orbitfinder.mechanics.model import Model, check_states, vector_field
-from orbitfinder.mechanics.scales import surroundings
+from orbitfinder.mechanics.model import Model, check_states
 from orbitfinder.structures.crossings import Crossings, Plane
+from orbitfinder.structures.sections import Surface
 
 LINES = 6
 """Lines looked for in each coordinate"""
@@ -92,12 +92,11 @@ def frequency_map(model: Model, starts: Any, duration: float) -> FrequencyMap:
     begins = check_states(model, np.atleast_2d(np.asarray(starts, float)))
     if not (np.isfinite(duration) and duration > 0):
         raise InputError(f"duration: must be positive, got {duration}; give some hundred turns of a motion")
-    places, clock = surroundings(model, np.zeros(model.degrees_of_freedom))
-    units = places if model.rates is not None else np.concatenate([places, places / clock])
-    path, step = _halves(Crossings(vector_field(model), units), begins, duration)
-    count, halves = max(1, len(model.state_names) // 2), np.full((2, len(begins), len(places), 2, LINES), np.nan)
+    path, step = _halves(Surface(model, Plane(0), (0, 0), {}).motions, begins, duration)
+    count, n = max(1, len(model.state_names) // 2), model.degrees_of_freedom
+    halves = np.full((2, len(begins), n, 2, LINES), np.nan)
     well = np.flatnonzero(np.isfinite(path).all(axis=(0, 2, 3)))
-    width = max(1, 4_000_000 // (LINES * path.shape[2] * 2 * len(places)))
+    width = max(1, 4_000_000 // (LINES * path.shape[2] * 2 * n))
     for part in np.split(well, range(width, well.size, width)) if well.size else ():
         signals = _signals(model, path[:, part])
         halves[:, part, : signals.shape[2]] = np.stack(_lines(signals, step), axis=3)

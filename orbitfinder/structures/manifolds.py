@@ -415,7 +415,7 @@ def _tube(base: Local, place: float, duration: float, sides: Sequence[int], chos
     """Motions (a curve each) that leave the orbit all around it, more of them where they part."""
     count = 201
     phases, moments = np.linspace(0.0, 1.0, 49), np.linspace(0.0, duration, count)
-    parts: list[Part] = []
+    parts = []
     for side in sides:
         known, paths = np.zeros(0), np.zeros((0, count, base.point.size))
         wanted = phases

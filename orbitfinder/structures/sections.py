@@ -159,7 +159,7 @@ class Surface:
             rates[there] = self.varied.rates(passing.times[there], passing.states[there])[:, :d] / self.units
             along = along - rates * (along[..., i] / rates[..., i])[..., None]
         size = np.linalg.norm(along, axis=-1)
-        return replace(passing, states=states), np.asarray(passing.states[..., -1] + np.log(nonzero(size)))
+        return replace(passing, states=states), passing.states[..., -1] + np.log(nonzero(size))
 
 
 def surface(
@@ -191,15 +191,14 @@ def surface(
 
 
 def named_surface(
-    model: Model, plane: str, axes: Sequence[str] | None = None, *, levels: Mapping[str, float] | None = None,
-    state: np.ndarray | None = None,
-) -> Surface:  # fmt: skip
+    model: Model, plane: str, axes: Sequence[str] | None = None, *, state: np.ndarray | None = None
+) -> Surface:
     """The section that a record names in words, its `plane`, as `Surface.name` gives them."""
     if model.forced or not model.smooth:
-        return surface(model, None, axes, levels=levels)
+        return surface(model, None, axes)
     where, _, side = plane.partition(",")
     direction = {"growing": 1, "falling": -1}.get(side.strip(), 0)
-    return surface(model, where, axes, direction, levels=levels, state=state)
+    return surface(model, where, axes, direction, state=state)
 
 
 def _plane(model: Model, plane: str | None, direction: int, state: np.ndarray | None) -> Plane:

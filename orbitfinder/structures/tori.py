@@ -162,19 +162,19 @@ def follow_tori(
     system = _model(origin, model)
     asked = _asked(system, origin, hold, parameter)
     goals = tuple(sorted({*at, *(() if until is None else (until,))}))
-    if asked == "rotation":
-        for goal in goals:
-            _check_rotation(goal, chosen.most_states)
+    for goal in goals if asked == "rotation" else ():
+        _check_rotation(goal, chosen.most_states)
     label = name or (f"{origin.name}-tori" if isinstance(origin, Orbit) else "tori")
     free = isinstance(origin, Torus)  # the tangent of its family points anywhere
     if isinstance(origin, Torus):
         ring, guess, direction = _from_torus(origin, system, asked)
+        begun = [origin.curve, origin.period, origin.rotation, dict(origin.free)]
     else:
         ring, guess, direction = _from_orbit(origin, system, asked, mode)
+        begun = [origin.state, origin.period]
     ring = replace(ring, most=chosen.most_states)
-    inner = Goals(
-        asked, None if until is None else _inner(asked, until), tuple(_inner(asked, value) for value in goals)
-    )
+    unit = 2 * np.pi if asked == "rotation" else 1.0  # rad a turn
+    inner = Goals(asked, None if until is None else unit * until, tuple(unit * value for value in goals))
 
     def begin() -> Point:
         point = _first(ring, guess, direction)
@@ -182,13 +182,13 @@ def follow_tori(
             return point if towards(point, asked, inner.until) > 0 else replace(point, tangent=-point.tangent)
         return _first(*_backwards(ring, guess, direction)) if _other_way_round(point, inner) else point
 
-    def leads_there(point: Point) -> bool:
-        return towards(point, asked, inner.until) > 0 if free else not _other_way_round(point, inner)
-
-    keeping = _Keeping(ring, system, chosen.certify)
     path = None if out is None else Path(out) / label / "tori.jsonl"
-    request = {"origin": _origin_entry(origin), "asked": asked, "mode": mode, "states": chosen.most_states,
+    request = {"origin": begun, "asked": asked, "mode": mode, "states": chosen.most_states,
                "step": chosen.step, "certify": chosen.certify, "system": dict(system.system)}  # fmt: skip
+    journal = CurveJournal(
+        _Keeping(ring, system, chosen.certify), path, request,
+        lambda point: towards(point, asked, inner.until) > 0 if free else not _other_way_round(point, inner),
+    )  # fmt: skip
     pace = Pace(first=chosen.step, shortest=1e-3, longest=10.0, points=chosen.points, quick=6)
     held = {label: value / (2 * np.pi) if label == "rotation" else value for label, value in ring.held}
 
@@ -199,7 +199,7 @@ def follow_tori(
                     getattr(origin, "title", ""))  # fmt: skip
 
     with locks.alone_in(path and path.parent):
-        for kept in follow(curve, CurveJournal(keeping, path, request, leads_there), begin, inner, pace):
+        for kept in follow(curve, journal, begin, inner, pace):
             finished(lambda: tori(STOPPED))
             if progress:
                 progress(kept.record)
@@ -366,11 +366,6 @@ def strip(curve: np.ndarray) -> float:
     return float(-np.polyfit(clear, np.log(nonzero(largest[clear])), 1)[0])
 
 
-def _inner(name: str, value: float) -> float:
-    """A rotation number in rad, everything else as it is."""
-    return 2 * np.pi * value if name == "rotation" else value
-
-
 @dataclass(frozen=True, eq=False)
 class _Keeping:
     """How tori are kept: the ring of the first, the system, whether each is certified."""
@@ -402,13 +397,6 @@ class _Keeping:
         if tangent.shape != w.vector.shape:
             raise ValueError("a tangent of another size")
         return Point(ring, w, tangent, float(entry["arclength"]), float(entry["step"])), record
-
-
-def _origin_entry(origin: Orbit | Torus) -> list[Any]:
-    """What decides where a family of tori begins."""
-    if isinstance(origin, Orbit):
-        return [origin.state, origin.period]
-    return [origin.curve, origin.period, origin.rotation, dict(origin.free)]
 
 
 def _recorded(point: Point) -> Torus:

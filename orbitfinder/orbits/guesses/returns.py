@@ -72,7 +72,9 @@ def close_returns(
     apart = (wrapped(states[lag : lag + starts] - states[:starts], wrapping) for lag in lags)
     table = np.stack([np.abs(each / extent).max(axis=1) for each in apart])
     returns: list[CloseReturn] = []
-    rows, columns = _local_minima(table)
+    inner = table[1:-1]  # entries that are not above their neighbours in the row's direction
+    rows, columns = np.nonzero((inner <= table[:-2]) & (inner <= table[2:]))
+    rows += 1
     for k in np.argsort(table[rows, columns]):
         row, column = int(rows[k]), int(columns[k])
         if table[: row + 1, column].max() < max(RETURNS.away, 3 * table[row, column]):
@@ -213,13 +215,6 @@ def _regular(times: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndar
     count = min(max(times.size, 400), MOST_SAMPLES)
     grid = np.linspace(times[0], times[-1], count)
     return grid, np.stack([np.interp(grid, times, column) for column in states.T], axis=1)
-
-
-def _local_minima(table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of entries that are not above their neighbours in the row's direction."""
-    inner = table[1:-1]
-    rows, columns = np.nonzero((inner <= table[:-2]) & (inner <= table[2:]))
-    return rows + 1, columns
 
 
 def _on_the_beat(back: CloseReturn, times: np.ndarray, states: np.ndarray, clock: float) -> CloseReturn:
