@@ -116,16 +116,10 @@ def continue_(file: Path, parameter: str | None, at: tuple[float, ...], points: 
         if getattr(origin, "guess", None) is None or getattr(origin, "control", None) is None:
             parameter = parameter or parameter_of(origin)
             name, steps = folder_of(out, chosen["name"] or origin.name, *NAMED).name, list[Batch]()
-            stops = dict[str, float]()  # values of watched numbers by name
-            for word in chosen["stop"]:
-                watched, mark, value = word.partition("=")
-                if not mark or len(numbers(value, "--stop")) != 1:
-                    raise InputError(f"--stop: {word!r} is not NAME=VALUE; give one number, such as peak=2.0")
-                stops[watched.strip()] = numbers(value, "--stop")[0]
             family = of.follow_family(
                 origin, parameter, until=chosen["until"], at=at, settings=settings, out=out, name=name,
                 model=model, progress=_reporter(shown, name, parameter, points, chosen["until"], steps),
-                stop=stops,
+                stop=dict(map(_stop, chosen["stop"])),
             )  # fmt: skip
             if not steps and len(family.points) > 1:
                 shown.say(READ.format(folder=out / name))
@@ -265,6 +259,14 @@ def summary(family: of.Family) -> Entries:
         "certified": sum(point.certified for point in family.points), "events": events, "unknown": family.unknown,
         "ends": [{k: v for k, v in vars(end).items() if v is not None and k != "joined"} for end in family.ends],
     }  # fmt: skip
+
+
+def _stop(given: str) -> tuple[str, float]:
+    """Name and value of a watched number; `InputError` for what is not NAME=VALUE."""
+    name, mark, value = given.partition("=")
+    if not mark or len(numbers(value, "--stop")) != 1:
+        raise InputError(f"--stop: {given!r} is not NAME=VALUE; give one number, such as peak=2.0")
+    return name.strip(), numbers(value, "--stop")[0]
 
 
 def origin_of(file: Path, trust: bool, switch: int | str | None = None, branch: int = 1) -> Modelled:
