@@ -121,6 +121,8 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
     rows = ca.Function("rows", [w, given], [equalities if np.all(sizes == 1.0) else equalities / ca.DM(sizes)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
+    if beat := problem.model.forcing_period:  # no step may leave it
+        tail = [problem.forcing_cycles * beat(problem.model.parameters(equations.free, tail[-1])), *tail[1:]]
     ends = ca.horzcat(*(part.end(*given) for part, given in spans(equations, flow, parts, tail)))
     constraints = rows(w, ends)
     lower, upper = (bound.vector / units for bound in _bounds(problem, flow, guess, guess.at(units)))
@@ -264,6 +266,8 @@ def _bounds(problem: Problem, flow: Flow, guess: Unknowns, units: Unknowns) -> t
     unfolding = RANGES.unfolding_range * units.unfolding
     spread = 0.95 * np.abs(guess.free) + (guess.free == 0)
     times = problem.bounds.get("period", (guess.period / RANGES.period_range, guess.period * RANGES.period_range))
+    if problem.model.forced:  # a bound would push it
+        times = -np.inf, np.inf
     free = freed(problem.model, problem.free, problem.boundary.parts)
     ends = zip(free, guess.free - spread, guess.free + 10 * spread, strict=True)
     ranges = np.array([problem.bounds.get(name, (low, high)) for name, low, high in ends]).reshape(-1, 2).T
