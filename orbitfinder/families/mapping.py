@@ -111,7 +111,8 @@ def map_plane(
         text, vector = _begun(problem, (names, axes), journal, trusted)
         study = _Filling(problem, (by, seed), text, journal)
         for _, first, lines in parts:
-            study.take(lines[1:], first)
+            for line in lines[1:]:
+                study.fill(_read(line)[2], first)
         apart = workers > 1 or far is not None
         try:
             with limited.limited(limit), tasks.crew(flooded, workers, "map", far) as answers:
@@ -219,12 +220,7 @@ class _Filling:
         self.block = PixelBlock.empty(shape, plane.place.vector.size, numbers)
         self.known = {line[:2]: line[2] for line in journal.known if len(line) == 3}
 
-    def take(self, lines: Sequence[Mapping[str, Any]], first: int) -> None:
-        """The pixels of another journal, of rows from the `first` on."""
-        for line in lines:
-            self._fill(_read(line)[2], first)
-
-    def _fill(self, text: str, first: int = 0) -> None:
+    def fill(self, text: str, first: int = 0) -> None:
         """Pixels that a journal has kept, of rows from the `first` on. Raises `InputError`."""
         try:
             matrix = unpacked(text, 4 + int(self.block.vectors.shape[2] + self.block.numbers.shape[2]))
@@ -261,7 +257,7 @@ class _Filling:
                 )
             self._keep(SEED, self.block.matrix(*whole, before))
         elif SEED in self.known:
-            self._fill(self.known[SEED])
+            self.fill(self.known[SEED])
         parts, number = [(slice(0, rows), slice(column, column + 1))], 0
         while parts:
             yield from self._round(number, parts, answers, plane)
@@ -277,7 +273,7 @@ class _Filling:
         fresh = answers(list(requests.values()))
         for k in range(len(parts)):
             if k not in requests:
-                self._fill(self.known[number, k])
+                self.fill(self.known[number, k])
         yield self._done()
         for answered, matrix in fresh:
             self.block.fill(matrix)

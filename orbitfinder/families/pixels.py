@@ -28,7 +28,7 @@ from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.extent import extent
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Curve, Solution, correct_each
-from orbitfinder.loops.loop import Condition, Unknowns
+from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.watch import range_of
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
@@ -117,7 +117,7 @@ class ParameterPlane:
 
     def corrected(self, guesses: Sequence[Unknowns], values: np.ndarray) -> list[Solution | int]:
         """The orbits near guesses at values (k x 2) of the parameters; where there is none, why."""
-        both = [self._aims(value) for value in values]
+        both = [[replace(pin, value=float(x)) for pin, x in zip(self._pins, value, strict=True)] for value in values]
         curves = [replace(self.curve, conditions=(*self.curve.conditions, first)) for first, _ in both]
         made: list[Solution | int] = []
         for guess, result in zip(guesses, correct_each(curves, guesses, [aim for _, aim in both], np.inf), strict=True):
@@ -128,16 +128,10 @@ class ParameterPlane:
             else:
                 states = result.march.states
                 still = np.ptp(states, axis=0).max() <= STANDSTILL * np.abs(states).max()
-                made.append(RESTING if still else result if self._near(guess, result) else ELSEWHERE)
+                moved = np.abs(result.place.nodes - guess.nodes).max(axis=0) / nonzero(extents(self.curve, states))
+                near = max(moved.max(), abs(result.place.period / guess.period - 1.0)) <= FAR
+                made.append(RESTING if still else result if near else ELSEWHERE)
         return made
-
-    def _near(self, guess: Unknowns, result: Solution) -> bool:
-        """Whether an orbit is that which was predicted."""
-        moved = np.abs(result.place.nodes - guess.nodes).max(axis=0) / nonzero(extents(self.curve, result.march.states))
-        return bool(max(moved.max(), abs(result.place.period / guess.period - 1.0)) <= FAR)
-
-    def _aims(self, value: np.ndarray) -> tuple[Condition, ...]:
-        return tuple(replace(pin, value=float(each)) for pin, each in zip(self._pins, value, strict=True))
 
     def reached(
         self, ways: Sequence[Sequence[Place]], targets: np.ndarray, tries: Sequence[int] = TRIES

@@ -259,7 +259,20 @@ class Equations:
     @cached_property
     def momenta(self) -> ca.Function:
         """The Jacobian of (q, momentum) in (q, v) as a function of (x, free)."""
-        return _momenta(self.model, self.free)
+        model, n = self.model, self.model.degrees_of_freedom
+        chosen = ca.MX.sym("free", len(self.free))
+        if model.rates is not None:  # they are among the components of the state
+            return ca.Function("momenta", [ca.MX.sym("x", n), chosen], [ca.densify(ca.MX.eye(n))])
+        q, v = ca.MX.sym("q", n), ca.MX.sym("v", n)
+        parameters = model.parameters(self.free, chosen)
+        momentum = ca.gradient(model.kinetic(q, v, parameters), v)
+        if model.gyroscopic is not None:
+            momentum += ca.gradient(model.gyroscopic(q, v, parameters), v)
+        lower = ca.horzcat(ca.jacobian(momentum, q), ca.jacobian(momentum, v))
+        upper = ca.horzcat(ca.MX.eye(n), ca.MX(n, n))
+        momenta = ca.Function("momenta_parts", [q, v, chosen], [ca.densify(ca.vertcat(upper, lower))])
+        x = ca.MX.sym("x", 2 * n)
+        return ca.Function("momenta", [x, chosen], momenta.call([x[:n], x[n:], chosen]))
 
     @cached_property
     def symplectic(self) -> bool:
@@ -514,16 +527,13 @@ class Loop:
         """The same loop with its phases fixed by hyperplanes through w."""
         return replace(self, normals=self.equations.phases(w), reference=w.nodes[0])
 
-    def _away(self, w: Unknowns) -> np.ndarray:
-        """How far w is off each phase."""
-        return np.asarray(self.normals @ (w.vector[: self.normals.shape[1]] - self.reference))
-
     def rows(self, w: Unknowns, ends: np.ndarray, *aims: Condition) -> np.ndarray:
         """The residual, segments ending at `ends` (N x d); those of aims last."""
         first, last = self.equations.boundary
         ends, guards = self.equations.links.passed(w, ends)
         closing = first @ w.nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant)
-        rows = [(ends[:-1] - w.nodes[1:]).ravel(), closing, self._away(w)]
+        away = self.normals @ (w.vector[: self.normals.shape[1]] - self.reference)  # off each phase
+        rows = [(ends[:-1] - w.nodes[1:]).ravel(), closing, away]
         named, count = self.values(w, (*self.conditions, *aims)), len(self.conditions)
         return np.concatenate([*rows, named[:count], guards, named[count:]])
 
@@ -566,18 +576,16 @@ class Loop:
         values = np.abs(np.array([condition.value for condition in chosen]))
         slopes = self.slopes(w, chosen) if slopes is None else slopes
         named = ROUND_OFF * (np.abs(slopes) @ np.abs(w.vector) + 2 * values)
-        return np.concatenate([np.zeros(self._unnamed(w)), named[:count], np.zeros(self._guards), named[count:]])
+        return np.concatenate(
+            [np.zeros(self._unnamed(w)), named[:count], np.zeros(len(self.equations.links.transitions)), named[count:]]
+        )
 
     def size(self, w: Unknowns) -> int:
         """How many rows there are, those of aims not counted."""
-        return self._unnamed(w) + len(self.conditions) + self._guards
+        return self._unnamed(w) + len(self.conditions) + len(self.equations.links.transitions)
 
     def _unnamed(self, w: Unknowns) -> int:
         return (len(w.nodes) - 1) * self.equations.size + len(self.equations.boundary[0]) + len(self.normals)
-
-    @property
-    def _guards(self) -> int:
-        return len(self.equations.links.transitions)
 
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """The residuals of conditions."""
@@ -611,20 +619,3 @@ def levels(model: Model, x: Any, parameters: Any) -> Any:
     if model.forcing_period is not None:
         values.append(model.forcing_period(parameters))
     return ca.vertcat(*values)
-
-
-def _momenta(model: Model, free: tuple[str, ...]) -> ca.Function:
-    n = model.degrees_of_freedom
-    if model.rates is not None:  # they are among the components of the state
-        inputs = [ca.MX.sym("x", n), ca.MX.sym("free", len(free))]
-        return ca.Function("momenta", inputs, [ca.densify(ca.MX.eye(n))])
-    q, v, chosen = ca.MX.sym("q", n), ca.MX.sym("v", n), ca.MX.sym("free", len(free))
-    parameters = model.parameters(free, chosen)
-    momentum = ca.gradient(model.kinetic(q, v, parameters), v)
-    if model.gyroscopic is not None:
-        momentum += ca.gradient(model.gyroscopic(q, v, parameters), v)
-    lower = ca.horzcat(ca.jacobian(momentum, q), ca.jacobian(momentum, v))
-    upper = ca.horzcat(ca.MX.eye(n), ca.MX(n, n))
-    momenta = ca.Function("momenta_parts", [q, v, chosen], [ca.densify(ca.vertcat(upper, lower))])
-    x = ca.MX.sym("x", 2 * n)
-    return ca.Function("momenta", [x, chosen], momenta.call([x[:n], x[n:], chosen]))

@@ -190,10 +190,19 @@ class Problem(Shown):
             self._actuate()
         object.__setattr__(self, "model", knowing(self.model, self.symmetry))
         if self.model.constraint is not None and self.model.constraint.lift is not None:
-            self._lift(self.model.degrees_of_freedom // 3)
+            links = self.model.degrees_of_freedom // 3
+            if np.size(self.guess.state) == 2 * links:  # angles and rates become those of the redundant coordinates
+                state = maximal_states(self.model, np.asarray(self.guess.state, float))
+                object.__setattr__(self, "guess", replace(self.guess, state=state))
+            if self.winding is not None and len(self.winding) == links:
+                object.__setattr__(self, "winding", tuple(k for turn in self.winding for k in (0, 0, turn)))
         self._settle()
         if not self.model.smooth:
-            self._settle_cycle()
+            _check_hybrid(self)
+            if not self.model.cycle:  # it is that of the guess's motion
+                _check_state(self.model, np.asarray(self.guess.state, float))
+                given = np.asarray(self.guess.state, float), self.guess.period, self.guess.trajectory
+                object.__setattr__(self, "model", with_cycle(self.model, recognised(self.model, *given)))
         _check(self)
 
     def _actuate(self) -> None:
@@ -222,23 +231,6 @@ class Problem(Shown):
             object.__setattr__(self, "model", with_parameters(self.model, values))
             object.__setattr__(self, "guess", replace(self.guess, free={}))
             object.__setattr__(self, "pin", tuple(pin for pin in self.pin if pin.name not in fixed))
-
-    def _settle_cycle(self) -> None:
-        """The cycle of a hybrid system is that of its guess's motion where none is given."""
-        _check_hybrid(self)
-        if not self.model.cycle:
-            _check_state(self.model, np.asarray(self.guess.state, float))
-            given = np.asarray(self.guess.state, float), self.guess.period, self.guess.trajectory
-            cycle = recognised(self.model, *given)
-            object.__setattr__(self, "model", with_cycle(self.model, cycle))
-
-    def _lift(self, links: int) -> None:
-        """Link angles and rates, and the turns of links, become those of the redundant coordinates."""
-        if np.size(self.guess.state) == 2 * links:
-            state = maximal_states(self.model, np.asarray(self.guess.state, float))
-            object.__setattr__(self, "guess", replace(self.guess, state=state))
-        if self.winding is not None and len(self.winding) == links:
-            object.__setattr__(self, "winding", tuple(k for turn in self.winding for k in (0, 0, turn)))
 
     @property
     def boundary(self) -> Symmetry:
@@ -300,7 +292,12 @@ class Problem(Shown):
                 f"{room}{isolated}; remove {-count.freedom} or free as many physical parameters"
             )
         if self.objective != "nearest":
-            return self._check_choice(count)
+            if count.freedom == 0 and not self.choice:
+                raise CountError(
+                    f"objective: nothing is left to choose, {count}; remove a pin, free a physical parameter, or for "
+                    "min_instability give the range of periods in bounds to choose among separate orbits"
+                )
+            return count
         if self.pin and not self.free and not self.constraints and count.freedom > 0:
             names = ", ".join(invariant.name for invariant in self.model.invariants)
             raise CountError(
@@ -314,14 +311,6 @@ class Problem(Shown):
     def choice(self) -> bool:
         """True when the least unstable of isolated orbits is asked for, which no solver from one guess can tell."""
         return self.objective == "min_instability" and self.count().freedom == 0 and "period" in self.bounds
-
-    def _check_choice(self, count: Count) -> Count:
-        if count.freedom == 0 and not self.choice:
-            raise CountError(
-                f"objective: nothing is left to choose, {count}; remove a pin, free a physical parameter, or for "
-                "min_instability give the range of periods in bounds to choose among separate orbits"
-            )
-        return count
 
 
 def check_guessed(guess: Guess, free: tuple[str, ...]) -> None:

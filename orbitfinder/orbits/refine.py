@@ -144,7 +144,8 @@ class Refiner(Shown):
             )
         units = np.asarray(scales or 1.0)
         moved = float((np.abs(w.nodes[0] - w.nodes[-1]) / units).max())
-        if moved < STANDSTILL and self._rates(w, units) < STANDSTILL:
+        rates = self.equations.march.rates(w.nodes, w.tail, w.period * w.edges[:-1]) / units
+        if moved < STANDSTILL and np.abs(rates).max() * w.period < STANDSTILL:
             raise ConvergenceError("warm refinement ended at an equilibrium; start farther from it, or pin the energy")
         told = {one.name: one.value for one in pins}  # a pinned parameter is that, not one to round-off
         known = [told.get(name, one) for name, one in zip(self.equations.free, w.free, strict=True)]
@@ -225,11 +226,6 @@ class Refiner(Shown):
         each = steps if segments == self._fewest else -(-steps // 2)  # the guess is off by more than longer steps are
         nodes = self.equations.march.states(w.nodes, self._mesh(segments, each), w.tail)[:-1:each]
         return Unknowns(nodes, w.period, w.unfolding, free, mesh)
-
-    def _rates(self, w: Unknowns, units: np.ndarray) -> float:
-        """Largest component of T f at the nodes, in units of the state: 0 at an equilibrium."""
-        times = w.period * w.edges[:-1]
-        return float(np.abs(self.equations.march.rates(w.nodes, w.tail, times) / units).max() * w.period)
 
 
 def _pins(problem: Problem, pin: Sequence[Pin] | None) -> tuple[Pin, ...]:

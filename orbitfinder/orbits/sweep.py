@@ -392,16 +392,17 @@ class _Study:
             way.append((self.own, self._at(self.own, None)))
         try:
             here, last = way[-1]
-            return last if np.array_equal(here, target) else reached(way, target, self._stepped)
+            return (
+                last
+                if np.array_equal(here, target)
+                else reached(way, target, lambda values: (self._at(values, self._predicted(values)), 0))
+            )
         except ConvergenceError as error:
             place = ", ".join(f"{name} = {x:.6g}" for name, x in zip(self.names, way[-1][0], strict=True))
             raise ConvergenceError(
                 f"not reached: from {place} on, {error}; a fold or the end of the orbit lies between, which continue "
                 "shows"
             ) from error
-
-    def _stepped(self, values: np.ndarray) -> tuple[Refined, int]:
-        return self._at(values, self._predicted(values)), 0
 
     def _predicted(self, goal: np.ndarray) -> Guess:
         """The nodes and the period on the line through the two last orbits."""

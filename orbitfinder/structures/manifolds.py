@@ -99,16 +99,12 @@ class Local:
         motions, plane = self.surface.motions, self.surface.plane
         return motions.passing(plane, states, count, longest=longest, sense=self.sense, tolerance=tolerance)
 
-    def off(self, gaps: np.ndarray) -> np.ndarray:
-        """What of gaps (k x d) is not along the direction, in extents."""
-        scaled, u = gaps / self.extents, self.direction / self.extents
-        return np.asarray(scaled - np.outer(scaled @ u, u) / (u @ u))
-
     def error(self, place: float) -> float:
         """How far x(s) is off the manifold, in extents: against the return of x(s / growth)."""
         before = self.states(np.array([place / self.growth]))
         gap = self.returned(before, self.laps).states[:, -1] - self.states(np.array([place]))
-        away = float(np.linalg.norm(self.off(wrapped(gap, self.surface.model.angular))))
+        scaled, u = wrapped(gap, self.surface.model.angular) / self.extents, self.direction / self.extents
+        away = float(np.linalg.norm(scaled - np.outer(scaled @ u, u) / (u @ u)))  # from the direction
         return float(away / (1.0 - self.growth**-3.0))
 
     def displacement(self, accuracy: float) -> tuple[float, float, float]:

@@ -426,15 +426,11 @@ def _breaking(tori: list[Torus], asked: str, why: str) -> str:
         slope = (values[-1] - values[-3]) / (widths[-1] - widths[-3])
         zero = values[-1] - slope * widths[-1]
         told += f"; the strip of convergence is {widths[-1]:.3g} wide, and 0 near {zero:.6g}"
-        told += _resonant(values[-1], zero) if asked == "rotation" else ""
+        low, high = sorted((values[-1], zero))
+        between = [(p, q) for q in range(1, 13) for p in range(q + 1) if low <= p / q <= high]
+        if asked == "rotation" and between:  # that of lowest order
+            told += " (the resonance {}/{})".format(*between[0])
     return told
-
-
-def _resonant(here: float, there: float) -> str:
-    """The resonance of lowest order, 12 at most, that a family of tori stops before, in words."""
-    low, high = sorted((here, there))
-    between = [(p, q) for q in range(1, 13) for p in range(q + 1) if low <= p / q <= high]
-    return " (the resonance {}/{})".format(*between[0]) if between else ""
 
 
 def torus_value(torus: Torus, name: str) -> float:
