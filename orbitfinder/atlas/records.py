@@ -1,19 +1,13 @@
 """The records of this room, for the registry of records."""
 
-from typing import Any
-
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder.records.orbit import AGAIN
-from orbitfinder.records.reading import Entries, json_file
+from orbitfinder.records.reading import json_file
 from orbitfinder.records.registry import KINDS, Kind
 
-
-def _facts(atlas: Any) -> Entries:
-    return {"system": atlas.system, **loaded("atlas.report:summarise")(atlas).document()}
-
-
 KINDS["atlas"] = Kind(
-    "an atlas", "atlas.store:Atlas", one="atlas.store:stored", first=1, facts=_facts,
+    "an atlas", "atlas.store:Atlas", one="atlas.store:stored", first=1,
+    facts=lambda atlas: {"system": atlas.system, **loaded("atlas.report:summarise")(atlas).document()},
     plot=lambda atlas, folder, _: loaded("show.plot:save_atlas_figures")(atlas, folder),
     page="site.gather:add_atlas", studio="atlas",
 )  # fmt: skip

@@ -453,7 +453,7 @@ def check_request(shells: Sequence[float], starts: int | None, budget: float | N
         raise InputError("energy: missing; give at least one, in J")
     if starts is not None and starts < 0:
         raise InputError(f"starts: must not be negative, got {starts}; give a number of starts")
-    if budget is not None and not 0 < budget < float("inf"):
+    if budget is not None and not 0 < budget < np.inf:
         raise InputError(f"budget: must be positive and finite, got {budget}; give it in s")
     if not 0 <= seed < 2**63:
         raise InputError(f"seed: must be between 0 and 2^63 - 1, got {seed}; give a whole number")

@@ -170,7 +170,7 @@ def distance(first: Signature, second: Signature) -> float:
 
     Relative to the extents of coordinates and rates; angles modulo 2 pi.
     """
-    return min(_gaps(first, second), default=float("inf"))
+    return min(_gaps(first, second), default=np.inf)
 
 
 def _gaps(first: Signature, second: Signature) -> Iterator[float]:

@@ -31,7 +31,6 @@ from orbitfinder.atlas.starts import Context, Target, context_of, strategy_of
 from orbitfinder.errors import InputError, LimitError, OrbitfinderError
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.mechanics.kind import build_model
-from orbitfinder.records.orbit import Orbit
 
 LONGEST_START = 120.0
 """s after which a start is given up, or a budget would be overrun without end; ordinary ones take 0.01 to 10"""
@@ -81,12 +80,11 @@ def perform(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike) 
         spent = time.process_time() - began
         made = [Attempt(jobs[0].number, name, reason=f"error: {type(error).__name__}", seconds=spent)]
     processes.trim()
-    return [each if each.orbit is None else replace(each, orbit=_light(each.orbit)) for each in made]
-
-
-def _light(orbit: Orbit) -> Orbit:
-    """Dense samples stay here: the nodes rebuild them."""
-    return replace(orbit, times=np.zeros(0), samples=np.zeros((0, orbit.state.size)))
+    for k, each in enumerate(made):
+        if (orbit := each.orbit) is not None:  # dense samples stay here: the nodes rebuild them
+            orbit = replace(orbit, times=np.zeros(0), samples=np.zeros((0, orbit.state.size)))
+            made[k] = replace(each, orbit=orbit)
+    return made
 
 
 class Workers(abc.ABC):

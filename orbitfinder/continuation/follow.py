@@ -32,7 +32,7 @@ from orbitfinder.errors import UNSOLVED, ConvergenceError, DomainError, plural
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import End
 from orbitfinder.records.journal import append_line, known_lines, refuse_other
-from orbitfinder.records.reading import typed
+from orbitfinder.records.reading import Table, typed
 
 LOCATED, LOOKS, MISSED = 1e-12, 60, 1e-9
 """An event is located to this share of a step, in so many looks at most; a sign is known to this of the other end"""
@@ -257,10 +257,6 @@ def between(before: Point, after: Point, share: float) -> Point:
     return Point(after.problem, first.moved(moved), slope, before.arclength + s * length).sharp
 
 
-def _looked(before: Point, after: Point, test: Test, share: float) -> float:
-    return test(between(before, after, share))
-
-
 def located(before: Point, after: Point, test: Test, within: tuple[float, float], tolerance: float) -> Point | None:
     """Where a test vanishes between two shares of a step, or just beside; None where it does not on the curve itself.
 
@@ -340,7 +336,7 @@ class CurveJournal:
         if self.steps and not leads(self.steps[0].point):
             refuse_other(path, {"until": "the other way"}, {"until": "this way"})
 
-    def _read(self, entries: Mapping[str, Any]) -> None:
+    def _read(self, entries: Table) -> None:
         line: _Line = typed(_Line, entries, "")
         self.at += [(value, KeptPoint("at", *self.keeping.read(entry))) for value, entry in line.at]
         self.end = line.end
@@ -371,7 +367,7 @@ class CurveJournal:
         append_line(self.path, plain(line))
         return line
 
-    def _entry(self, point: KeptPoint) -> Mapping[str, Any]:
+    def _entry(self, point: KeptPoint) -> Table:
         return self.keeping.write(point.point, point.record)
 
     def exactly(self, before: Point, after: Point, goals: Goals) -> tuple[list[KeptPoint], list[AtValue]]:
@@ -494,7 +490,11 @@ class _Arclength:
             if not callable(test):
                 kinds[test] = name
                 continue
-            look, tested[name] = partial(_looked, before, after, test), test(after.sharp)
+            tested[name] = test(after.sharp)
+
+            def look(share: float, test: Test = test) -> float:
+                return test(between(before, after, share))
+
             known = {0.0: same[name] if name in same else look(0.0), 0.5: test(middle), 1.0: tested[name]}
             for within in changes(look, known):
                 event = located(before, after, test, within, self.pace.located)

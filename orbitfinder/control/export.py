@@ -94,7 +94,7 @@ def python_text(controller: Controller, states: tuple[str, ...]) -> str:
     table = {name: plain_numbers(getattr(controller, name)) for name in TABLE}
     entries = [f'    "{name}": {entry!a},' for name, entry in table.items()]
     comment = "".join(f"# {line}\n" for line in _heading(controller, states))
-    return f'{comment}{source}\n\ninf = float("inf")\nTABLE = {{\n' + "\n".join(entries) + f"\n}}\n{MAIN}"
+    return f"{comment}{source}\n\ninf = np.inf\nTABLE = {{\n" + "\n".join(entries) + f"\n}}\n{MAIN}"
 
 
 MAIN = """

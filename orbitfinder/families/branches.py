@@ -53,7 +53,7 @@ from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family, load_family
 from orbitfinder.records.orbit import SHARE
-from orbitfinder.records.reading import finite
+from orbitfinder.records.reading import Entries, finite
 from orbitfinder.records.registry import held
 
 CHOICE = 'give the number of an event, "start" or "end"'
@@ -137,7 +137,7 @@ def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, setting
     equations = replace(curve.equations, model=repeated(model, event.order), symmetry=symmetry, free=free)
     again = curve.equations.links.repeated(place.free, event.order)
     place = replace(place, unfolding=np.zeros(equations.march.unfolding), free=again)
-    there = curve_at(equations, place, held, _turns(curve, event))
+    there = curve_at(equations, place, held, np.array(curve.turns) * event.order)
     if not equations.links:
         there = replace(there, weights=curve.weights.copy())
     place = fitted(there, place)
@@ -197,10 +197,6 @@ def _round(across: np.ndarray, order: int) -> Iterator[np.ndarray]:
     elif len(across) == 2:
         for angle in 2 * np.pi * np.arange(2 * order) / (2 * order):
             yield np.cos(angle) * across[0] + np.sin(angle) * across[1]
-
-
-def _turns(curve: Curve, event: Event) -> np.ndarray:
-    return np.array(curve.turns) * event.order
 
 
 def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> Unknowns:
@@ -352,7 +348,7 @@ class Branch:
     name: str
     title: str = ""
 
-    def described(self) -> dict[str, Any]:
+    def described(self) -> Entries:
         """The same in plain numbers."""
         test, event = self.start.curve.test, self.event
         branch = {} if test else {"branch": self.branch}

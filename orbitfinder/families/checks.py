@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.arguments import check
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import EPSILON, nonzero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.changes import margins_called
 from orbitfinder.families.codimension_two import is_centre
@@ -275,7 +275,7 @@ class Sides:
         bent, size = high - 2 * middle + low, max(abs(low), abs(high))
         own, *beside = (probe.tour.closes for probe in (self.here, self.before, self.after))
         known = own.gap / own.amplification + max(closes.distance for closes in beside)
-        off = size * (4 * np.finfo(float).eps + known) + abs(self.here.value(name) - middle)
+        off = size * (4 * EPSILON + known) + abs(self.here.value(name) - middle)
         if not (low - middle) * (high - middle) > 0:
             return Reading(1.0, SHARP, False)
         scale = self.apart / (self.step * abs(bent))
@@ -291,13 +291,13 @@ class Sides:
     def turns(self, name: str) -> bool:
         """Whether a quantity is, beyond round-off, on one side of what it is here on both sides."""
         low, middle, high = self.values(name)
-        known = 8 * np.finfo(float).eps * abs(middle)
+        known = 8 * EPSILON * abs(middle)
         return bool(min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known)
 
     def passes(self, name: str) -> bool:
         """Whether a quantity goes on, beyond round-off."""
         low, middle, high = self.values(name)
-        known = 8 * np.finfo(float).eps * abs(middle)
+        known = 8 * EPSILON * abs(middle)
         return bool((low - middle) * (middle - high) > 0 and min(abs(low - middle), abs(high - middle)) > known)
 
     def bends(self, name: str) -> bool:
@@ -529,7 +529,7 @@ def check_cusp(sides: Sides, _: Event) -> Reading:
     along = bent / nonzero(float(np.linalg.norm(bent)))
     value, aside = -0.5 * float(across @ along) * scale, across - (across @ along) * along
     probes = (sides.before, sides.here, sides.after)
-    known = 4 * np.finfo(float).eps + max(probe.tour.closes.across for probe in probes)
+    known = 4 * EPSILON + max(probe.tour.closes.across for probe in probes)
     error = SHARP + float(np.abs([low, high]).max()) * known * scale
     # a cusp goes this little across the direction in which it turns, relative to its bend
     straight = 0.5 * float(np.linalg.norm(aside)) * scale < 0.03

@@ -18,7 +18,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import EPSILON, nonzero
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.motion import noise, rises, watched
 from orbitfinder.families.passages import (
@@ -121,7 +121,7 @@ def _moves(interval: Interval, test: Test) -> bool:
         max(abs(test.measure(end)) for end in (interval.first, interval.last)),
     )
     value = max(_value(interval, end, test) for end in ends)
-    return bool(steepest * interval.length > FLAT * np.finfo(float).eps * value)
+    return bool(steepest * interval.length > FLAT * EPSILON * value)
 
 
 Located = list[tuple[Sample, Test]]
@@ -138,7 +138,7 @@ def _by_multiplier(interval: Interval, turned: Located, passed: Located) -> tupl
     known, parameter = Located(), next(folds(interval))
     for sample, test in turned:
         beside = [pair for pair in passing if not _apart(pair[0].distance, [sample.distance])]
-        turns = _unsure(interval, sample, test, FLAT * np.finfo(float).eps * _value(interval, sample, test))
+        turns = _unsure(interval, sample, test, FLAT * EPSILON * _value(interval, sample, test))
         if beside:
             about = beside[0][0].about
             error = float(about.root_errors[np.abs(about.values - 1.0).argmin()])

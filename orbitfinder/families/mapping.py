@@ -36,7 +36,7 @@ from orbitfinder.records.certificate import Certificate, at_most, equal
 from orbitfinder.records.codec import plain
 from orbitfinder.records.family import CLOSURE
 from orbitfinder.records.journal import AGAIN, Checkpoints, checkpoints, packed, read_lines, unpacked
-from orbitfinder.records.reading import content_digest, read_as, typed
+from orbitfinder.records.reading import Table, content_digest, read_as, typed
 
 LIMIT, STRIP, TOGETHER, SAME, SEED = 3600.0, 16, 256, 1e-6, (-1, 0)
 """Seconds after which a map stops unless told otherwise; rows that are a task; orbits that are verified beside
@@ -149,7 +149,7 @@ Filled = tuple[int, int, str]
 """The number of a round, that of a task in it, and as text what it has filled"""
 
 
-def _read(line: Mapping[str, Any]) -> Origin | Filled:
+def _read(line: Table) -> Origin | Filled:
     """What a line of the journal stands for. Raises `ValueError`."""
     fields = {"curve": dict, "segments": int, "mesh": str, "vector": str} if "curve" in line else \
              {"round": int, "task": int, "pixels": str}  # fmt: skip
@@ -160,7 +160,7 @@ def _read(line: Mapping[str, Any]) -> Origin | Filled:
     return made  # type: ignore[return-value]
 
 
-def _part(file: Path, asked: Mapping[str, Any]) -> tuple[Path, int, list[Any]]:
+def _part(file: Path, asked: Table) -> tuple[Path, int, list[Any]]:
     """The journal of some rows of a map: the number of the first, and its lines. Raises `InputError`."""
     (header, *lines), _ = read_lines(file, file.name) or ([{}], True)
     known, (across, up) = partial(read_as, where=f"{file}: request", remedy=AGAIN), asked["map"]

@@ -249,12 +249,11 @@ def _passed(interval: Interval, part: Subinterval, level: float) -> list[Sample]
     if abs(int(rises.sum())) < int(np.abs(rises).sum()):  # some rise and some fall: only their own course tells
         return _each(interval, part, level, np.flatnonzero(real)[rises != 0])
     ranks = np.flatnonzero((np.sort(after) >= level) != (np.sort(before) >= level))
-    return [located(interval, _ranked(part, int(rank), level), part.low, part.high) for rank in ranks]
 
+    def above(rank: int, sample: Sample) -> float:
+        return float(np.sort(part.read(sample)[real].real)[rank] - level)
 
-def _ranked(part: Subinterval, rank: int, level: float) -> Measure:
-    """One of the real indices of a subinterval, by its rank, above a level."""
-    return lambda sample: float(np.sort(part.read(sample)[part.real].real)[rank] - level)
+    return [located(interval, partial(above, rank), part.low, part.high) for rank in ranks.tolist()]
 
 
 def _each(interval: Interval, part: Subinterval, level: float, positions: np.ndarray) -> list[Sample]:

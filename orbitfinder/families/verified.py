@@ -284,7 +284,7 @@ def _watch(curve: Curve, member: FamilyPoint | Event, name: str) -> Check:
         look = Probe(curve, settled_on(curve, member))
         off, allowed = abs(look.watched[name] - member.watch.get(name, np.nan)), look.unsure[name]
     except (ConvergenceError, IntegrationError) as error:
-        return refused("watch", error, float("nan"))
+        return refused("watch", error, np.nan)
     note = "" if off <= allowed else f"watch.{name} is {look.watched[name]:.15g}, recorded {member.watch.get(name)}"
     return at_most("watch", off, allowed, note)
 
@@ -323,7 +323,7 @@ def _event(family: Family, curve: Curve, event: Event) -> Check:
         if sharper:
             raise ConvergenceError(sharper)
     except (ConvergenceError, IntegrationError) as error:
-        return refused(event.kind, error, float("nan"))
+        return refused(event.kind, error, np.nan)
     return at_most(event.kind, abs(again.value), again.error, event.detail, again.passed)
 
 
@@ -402,7 +402,7 @@ def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
         with np.errstate(all="ignore"):  # what overflows is no number, and fails its check
             return check(family, curve, end, at)
     except (ConvergenceError, IntegrationError, ValueError, LookupError, TypeError, ArithmeticError) as error:
-        return refused(end.kind, error, float("nan"))
+        return refused(end.kind, error, np.nan)
 
 
 def _steps(family: Family, at: FamilyPoint) -> list[FamilyPoint]:

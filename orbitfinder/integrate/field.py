@@ -487,11 +487,8 @@ def scaled(field: VectorField, units: np.ndarray) -> VectorField:
     return call
 
 
-def _one_by_one(field: VectorField) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    return lambda times, states: np.stack([field(float(t), y) for t, y in zip(times, states, strict=True)])
-
-
 def rates_of(field: VectorField) -> tuple[Callable[[np.ndarray, np.ndarray], np.ndarray], bool]:
     """Rates of rows of states, and whether they come from one call."""
-    many = getattr(field, "many", None)
-    return many or _one_by_one(field), many is not None and getattr(field, "together", True)
+    if (many := getattr(field, "many", None)) is not None:
+        return many, getattr(field, "together", True)
+    return lambda times, states: np.stack([field(float(t), y) for t, y in zip(times, states, strict=True)]), False

@@ -316,7 +316,7 @@ class Model(Shown):
         """True when nothing is conserved, or linear invariants of a first-order system alone: where these are held,
         equilibria and cycles are those of a system that conserves nothing.
         """
-        return all(one.linear for one in self.invariants if one.generator is None)
+        return all(each.linear for each in self.invariants if each.generator is None)
 
     @property
     def smooth(self) -> bool:

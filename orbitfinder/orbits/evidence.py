@@ -340,7 +340,7 @@ class Tour:
         """That map in factors, of one piece each between `bases`."""
         pieces, bases = self.pieces, self.bases or (self._start,)
         if noise is not None:
-            pieces = [one + share * np.linalg.norm(one, 2) * noise.normal(size=one.shape) for one in pieces]
+            pieces = [each + share * np.linalg.norm(each, 2) * noise.normal(size=each.shape) for each in pieces]
         pieces = pieces if self.bases else [_multiplied(pieces)]
         ways = pairwise([*bases[: len(pieces)], bases[0]])
         return [after.T @ piece @ before for piece, (before, after) in zip(pieces, ways, strict=True)]
@@ -592,7 +592,7 @@ def beside(states: np.ndarray, count: int = 24) -> np.ndarray:
 
 def in_extents(matrices: Sequence[np.ndarray], units: np.ndarray) -> list[np.ndarray]:
     """State-transition matrices (m x m each) between states that are measured in `units` (m)."""
-    return [one * units / units[:, None] for one in matrices]
+    return [matrix * units / units[:, None] for matrix in matrices]
 
 
 def _variable(model: Model, states: np.ndarray, units: np.ndarray) -> float:
@@ -608,7 +608,7 @@ def _variable(model: Model, states: np.ndarray, units: np.ndarray) -> float:
 
 
 def _multiplied(pieces: Sequence[np.ndarray]) -> np.ndarray:
-    return reduce(lambda done, one: one @ done, pieces)
+    return reduce(lambda done, piece: piece @ done, pieces)
 
 
 def _basis(gradients: np.ndarray, directions: np.ndarray, within: np.ndarray) -> np.ndarray:

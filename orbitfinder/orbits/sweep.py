@@ -46,7 +46,7 @@ from orbitfinder.orbits.refine import Refiner
 from orbitfinder.records.codec import Codec, plain
 from orbitfinder.records.journal import Checkpoints, checkpoints, packed, unpacked
 from orbitfinder.records.orbit import SHARE, Orbit, orbit_from_document, orbit_to_document
-from orbitfinder.records.reading import typed
+from orbitfinder.records.reading import Entries, Table, typed
 from orbitfinder.records.table import Tabled, Tables
 
 LIMIT, ELSEWHERE = 3600.0, 0.1
@@ -72,7 +72,7 @@ class Row(Shown):
         """True for an orbit with its certificate."""
         return self.orbit is not None and not self.reason
 
-    def record(self, names: Sequence[str]) -> dict[str, Any]:
+    def record(self, names: Sequence[str]) -> Entries:
         """The row as plain values by name, None where there is no orbit; `names` are those of the state."""
         numbers: dict[str, Any] = dict.fromkeys((*NUMBERS, "instability", *names))
         if self.orbit is not None:
@@ -148,7 +148,7 @@ CODEC = Codec(SweepRecord, "sweep", "`orbitfinder sweep`", "sweep again")
 load_sweep = CODEC.load
 
 
-def _tables(rows: Sequence[Mapping[str, Any]]) -> Tables:
+def _tables(rows: Sequence[Table]) -> Tables:
     told = [{name: missing(name) if value is None else value for name, value in row.items()} for row in rows]
     return {"points": {name: [row[name] for row in told] for name in told[0]}}
 
@@ -276,7 +276,7 @@ class _Visit:
     after: tuple[float, ...] | None
     way: tuple[Reached, ...]
 
-    def entry(self) -> dict[str, Any]:
+    def entry(self) -> Entries:
         """The line of the journal."""
         line, orbit = {entry.name: getattr(self, entry.name) for entry in fields(self)}, self.row.orbit
         line["row"] = {"values": self.row.values, "reason": self.row.reason}
@@ -286,7 +286,7 @@ class _Visit:
         return dict(plain(line))
 
 
-def _read(entry: Mapping[str, Any], sizes: tuple[tuple[int], ...]) -> Origin | _Visit:
+def _read(entry: Table, sizes: tuple[tuple[int], ...]) -> Origin | _Visit:
     """What a line of the journal stands for, `sizes` of the values, a state and what is free. Raises `ValueError`."""
     kind: Any = Origin if "origin" in entry else _Visit
     line: Origin | _Visit = typed(kind, entry.get("origin", entry), "")
@@ -492,7 +492,7 @@ DONE, RUN = "done", 8
 """What a process says last; values that are a task of a cluster"""
 
 
-def _described(study: _Study) -> dict[str, Any]:
+def _described(study: _Study) -> Entries:
     """What a process needs besides the system: the problem at its own orbit, as plain values."""
     base, problem = study.base, study.problem
     asked = {name: getattr(problem, name) for name in ASKED}

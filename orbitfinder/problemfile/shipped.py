@@ -122,7 +122,9 @@ def copy(problems: Sequence[Shipped], out: Path, force: bool = False) -> list[Pa
     A file that is there already and differs is left alone, with all the others, unless `force`.
     """
     pairs = {out / problem.kind / file.name: file for problem in problems for file in problem.files()}
-    differing = [to for to, file in pairs.items() if to.exists() and _differs(to, file)]
+    differing = [
+        to for to, file in pairs.items() if to.exists() and not (to.is_file() and to.read_bytes() == file.read_bytes())
+    ]
     if differing and not force:
         more = f" and {len(differing) - 1} more" if len(differing) > 1 else ""
         raise InputError(
@@ -132,7 +134,3 @@ def copy(problems: Sequence[Shipped], out: Path, force: bool = False) -> list[Pa
         to.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(to, file.read_bytes())
     return [to for to in pairs if to.suffix in FORMS]
-
-
-def _differs(path: Path, file: Path) -> bool:
-    return not path.is_file() or path.read_bytes() != file.read_bytes()

@@ -117,7 +117,7 @@ def radius(vector: Iterable[Any]) -> float:
 def _above(x: Any) -> float:
     """A float not below a ball."""
     if not x.is_finite():
-        return float("inf")
+        return np.inf
     return float(np.nextafter(float(x.upper()), np.inf))
 
 

@@ -269,7 +269,7 @@ class BorderedRecord(Versioned):
     tolerance: float = TaylorSettings.tolerance
     proved: bool = False
     reason: str = ""
-    contraction: float = float("nan")
+    contraction: float = np.nan
     value: Table = field(default_factory=dict)
     energy: Table | None = None
     period: Table = field(default_factory=dict)

@@ -113,7 +113,7 @@ class BranchPiece:
     high: float
     centre: tuple[tuple[float, ...], ...]
     radius: tuple[float, ...]
-    contraction: float = float("nan")
+    contraction: float = np.nan
 
     @property
     def energy(self) -> Along:
@@ -186,7 +186,7 @@ def fill(shown: Checked) -> float:
     """How much of its box the image of a piece fills."""
     sizes = [abs(x).upper() for x in shown.image]
     if not all(x.is_finite() for x in sizes):
-        return float("inf")
+        return np.inf
     return max(float(x) / r for x, r in zip(sizes, shown.piece.radius, strict=True))
 
 

@@ -160,7 +160,7 @@ class ConnectionRecord(Versioned):
     tolerance: float = TaylorSettings.tolerance
     proved: bool = False
     reason: str = ""
-    contraction: float = float("nan")
+    contraction: float = np.nan
     state: tuple[Table, ...] = ()
     places: tuple[Table, ...] = ()
     durations: tuple[Table, ...] = ()

@@ -258,7 +258,7 @@ class _Claim:
     state: np.ndarray
     value: float
     c: tuple[float, ...] = ()
-    frequency: float = float("nan")
+    frequency: float = np.nan
 
 
 class _Near(NamedTuple):

@@ -167,7 +167,7 @@ def norm(matrix: Any) -> float:
     size, values = matrix.ncols(), [abs(x).upper() for x in matrix.entries()]
     sums = [sum(values[i : i + size], arb(0)).upper() for i in range(0, len(values), size)]
     if not all(x.is_finite() for x in sums):
-        return float("inf")
+        return np.inf
     return float(np.nextafter(max(float(x) for x in sums), np.inf))
 
 
@@ -217,7 +217,7 @@ def evaluated(equations: TheoremEquations, unknowns: Vector, settings: TaylorSet
 
 def corrected(step: Callable[[Vector], Any], start: Vector, target: float, what: str) -> Vector:
     """Unknowns whose last correction (a column, of `step`) is below a target. Raises `ConvergenceError`."""
-    here, moved = midpoints(start), float("inf")
+    here, moved = midpoints(start), np.inf
     for _ in range(MOST_ITERATIONS):
         change = step(here).entries()
         here, before, moved = midpoints([x - dx for x, dx in zip(here, change, strict=True)]), moved, magnitude(change)
@@ -238,7 +238,7 @@ def solve(
     that it is right to), from the beginning where a neighbour's is `known`. Raises `ConvergenceError` when they do not
     shrink or leave the start.
     """
-    here, last = midpoints(start), float("inf")
+    here, last = midpoints(start), np.inf
     inverse = np.zeros((0, 0)) if known is None else known
     for k in range(MOST_ITERATIONS):
         if not inverse.size or (k and last > ROUGH):

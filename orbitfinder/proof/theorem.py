@@ -72,16 +72,16 @@ class Proof(Shown):
     wall_time: float
     segments: int = 0
     steps: int = 0
-    radius: float = float("nan")
-    tightness: float = float("nan")
-    contraction: float = float("nan")
+    radius: float = np.nan
+    tightness: float = np.nan
+    contraction: float = np.nan
     energy: Any = None
     period: Any = None
     phase: float = 0.0
     nodes: list[Vector] = field(default_factory=list)
     unfolding: Any = None
-    distance: float = float("nan")
-    period_distance: float = float("nan")
+    distance: float = np.nan
+    period_distance: float = np.nan
     minimal: bool = False
     divisors: int = 0
     stability: Stability | None = None

@@ -311,7 +311,7 @@ def derivation_part(folder: Path) -> Entries:
                 break  # one size more is some 3 times larger
         # the slope of log(time) against log(n) over n >= 30, where the fixed costs have faded
         counts, times = np.array([(float(n), seconds[n]) for n in seconds if int(n) >= 30]).reshape(-1, 2).T
-        exponent = float(np.polyfit(np.log(counts), np.log(times), 1)[0]) if counts.size > 1 else float("nan")
+        exponent = float(np.polyfit(np.log(counts), np.log(times), 1)[0]) if counts.size > 1 else np.nan
         costs[formulation] = {"seconds": seconds, "operations": operations, "exponent": exponent}
     save_both(derivation_figure(costs), folder / "derivation")
     return costs
@@ -322,7 +322,7 @@ def _derived(count: int, formulation: str) -> tuple[Any, float]:
 
     The first time also pays for imports, caches and memory.
     """
-    took = float("inf")
+    took = np.inf
     for _ in range(5 if count <= 30 else 1):
         began = time.process_time()
         model = chain(count, formulation=formulation)

@@ -37,14 +37,6 @@ def _disc(at: np.ndarray, _: float) -> np.ndarray:
     return np.asarray(centre + (rim @ CIRCLE if rim.shape[1] > 1 else np.linalg.norm(rim) * CIRCLE))
 
 
-def _slider(at: np.ndarray, half: float) -> np.ndarray:
-    return np.asarray(at + half * np.array([[-1, -1, 1, 1, -1], [-1.6, 1.6, 1.6, -1.6, -1.6]]))
-
-
-def _pivot(at: np.ndarray, half: float) -> np.ndarray:
-    return np.asarray(at + half * np.array([[0, 1.5, 1.5, 0], [0, -1, 1, 0]]))
-
-
 def _spring(at: np.ndarray, half: float) -> np.ndarray:
     """A zigzag between two points with a straight piece at either end."""
     begin, along = at[:, 0], at[:, 1] - at[:, 0]
@@ -80,8 +72,14 @@ BRUSHES = {
     "solid": Brush(lambda at, _: at[:, :0], boxed=True),
     "spring": Brush(_spring),
     "disc": Brush(_disc, rigid=True, centred=True),
-    "slider": Brush(_slider, filled=True, covered=True),
-    "ground": Brush(_pivot, filled=True, covered=True),
+    "slider": Brush(
+        lambda at, half: at + half * np.array([[-1, -1, 1, 1, -1], [-1.6, 1.6, 1.6, -1.6, -1.6]]),
+        filled=True,
+        covered=True,
+    ),
+    "ground": Brush(
+        lambda at, half: at + half * np.array([[0, 1.5, 1.5, 0], [0, -1, 1, 0]]), filled=True, covered=True
+    ),
 }
 """Of every kind of stroke; a bone is the rod of what has a solid, which lines do not show"""
 

@@ -72,7 +72,7 @@ def section_data(section: Section, gathered: Gathered) -> Entries:
 
 def _belongs(record: Any, section: Section) -> bool:
     """Whether a record is of a section's system, and of its energy where it has one itself."""
-    energy = getattr(record, "energy", float("nan"))
+    energy = getattr(record, "energy", np.nan)
     level = energy == energy and section.energy == section.energy
     near = not level or abs(energy - section.energy) <= LEVEL * abs(energy)
     return dict(record.system) == dict(section.system) and near

@@ -18,12 +18,11 @@ off the local manifolds are. The error of a point is what the linearised problem
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -45,7 +44,7 @@ from orbitfinder.records.certificate import Certificate, at_least, at_most, refu
 from orbitfinder.records.codec import entries_of, plain
 from orbitfinder.records.journal import checkpoints
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.records.reading import typed
+from orbitfinder.records.reading import Entries, Table, typed
 from orbitfinder.structures.crossings import FINE
 from orbitfinder.structures.manifold import Connection, ConnectionEnd
 from orbitfinder.structures.manifolds import Local, ManifoldSettings, Part, grown, local_manifold, surface_of
@@ -548,7 +547,7 @@ def follow_connection(
     return tuple(members[1:])
 
 
-def _entry(levels: tuple[float, ...], member: Connection | str) -> dict[str, Any]:
+def _entry(levels: tuple[float, ...], member: Connection | str) -> Entries:
     """The line of a journal: energies up to one, and the connection there or why there is none."""
     if isinstance(member, str):
         return {"energies": levels, "end": member}
@@ -556,7 +555,7 @@ def _entry(levels: tuple[float, ...], member: Connection | str) -> dict[str, Any
     return dict(plain({"energies": levels, "connection": entries_of(member), **motion}))
 
 
-def _read(line: Mapping[str, Any]) -> tuple[tuple[float, ...], Connection | str]:
+def _read(line: Table) -> tuple[tuple[float, ...], Connection | str]:
     """Both from what was written. Raises `ValueError`."""
     levels = tuple(map(float, line["energies"]))
     if "end" in line:

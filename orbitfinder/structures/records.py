@@ -1,28 +1,18 @@
 """The records of this room, for the registry of records."""
 
 from dataclasses import replace
-from typing import Any
 
 from orbitfinder._runtime.rooms import loaded
-from orbitfinder.mechanics.model import Model
 from orbitfinder.records.registry import KINDS, Kind
 from orbitfinder.structures.bifurcation import CODEC as BIFURCATION
 from orbitfinder.structures.manifold import load_connection, load_manifold
 from orbitfinder.structures.phase_response import CODEC as PHASE
 from orbitfinder.structures.section import load_section
-from orbitfinder.structures.torus import Tori, load_tori
-
-
-def _each(tori: Tori) -> list[Tori]:
-    return [replace(tori, tori=(torus,)) for torus in tori.tori]
-
-
-def _verified(tori: Tori, model: Model) -> Any:
-    return loaded("structures.tori:certify_torus")(tori.tori[-1], model).certificate
-
+from orbitfinder.structures.torus import load_tori
 
 KINDS["tori"] = Kind(
-    "a family of tori", load_tori, _each, holds="tori", apart=True, verify=_verified,
+    "a family of tori", load_tori, lambda tori: [replace(tori, tori=(torus,)) for torus in tori.tori], holds="tori",
+    apart=True, verify=lambda tori, model: loaded("structures.tori:certify_torus")(tori.tori[-1], model).certificate,
     plot="show.tori:save_torus_figures", page="laid", export="exports.tables:export_table",
 )  # fmt: skip
 KINDS["section"] = Kind("a section", load_section, plot="show.figures:section_figures", page="sections")

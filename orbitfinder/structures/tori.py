@@ -33,7 +33,7 @@ from orbitfinder.mechanics.scales import extents_of, parameter_sizes
 from orbitfinder.records.certificate import Certificate, at_least, at_most, equal
 from orbitfinder.records.codec import entries_of
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.records.reading import typed
+from orbitfinder.records.reading import Entries, typed
 from orbitfinder.structures.ring import RESOLVED, Circle, Turned, at_angles, coefficients, harmonics, unresolved
 from orbitfinder.structures.sections import Surface
 from orbitfinder.structures.torus import Tori, Torus
@@ -381,7 +381,7 @@ class _Keeping:
         record = _recorded(point)
         return certify_torus(record, self.model) if self.certify else record
 
-    def write(self, point: Point, record: Torus) -> dict[str, Any]:
+    def write(self, point: Point, record: Torus) -> Entries:
         """Both in plain numbers."""
         return entries_of(record) | {
             "angle": point.w.angle, "numbers": point.w.free, "tangent": point.tangent, "steps": point.problem.steps,

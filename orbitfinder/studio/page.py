@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from orbitfinder.mechanics.scales import lasting, measured
 from orbitfinder.orbits.guesses.returns import CloseReturn
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.records.reading import Entries
+from orbitfinder.records.reading import Entries, Table
 from orbitfinder.show.facts import told
 from orbitfinder.show.html import certificate_html
 from orbitfinder.show.scene import solids_of
@@ -349,7 +349,7 @@ class Page(Desk):
         self.source = Staged(dict(self.session.model.system), list(self.state), run.energy)
         self._show(run.film, run.view, keep)
 
-    def _show(self, film: Film | None, view: Mapping[str, Any] | None = None, keep: bool = False) -> None:
+    def _show(self, film: Film | None, view: Table | None = None, keep: bool = False) -> None:
         if film is not None:
             spans = [2.3 * film["half"]] * film["dims"]
             window = view or (None if self.shown else {"centre": film["centre"], "spans": spans})

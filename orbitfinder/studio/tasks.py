@@ -161,7 +161,7 @@ class Tasks:
             returns = close_returns(run.times, run.states, model.angles, 12)
             returns.sort(key=promise)
         shown = film(model, run.times, run.states)
-        change = run.change if energy is not None else float("nan")
+        change = run.change if energy is not None else np.nan
         return Simulated(shown, view(model, run.states), energy, change, tuple(returns))
 
     def settled(

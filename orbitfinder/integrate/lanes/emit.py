@@ -105,7 +105,7 @@ def _number(value: float) -> str:
     """A constant, to the last bit."""
     if value != value:
         return "NAN"
-    if value in (float("inf"), -float("inf")):
+    if value in (np.inf, -np.inf):
         return "INFINITY" if value > 0 else "-INFINITY"
     return float(value).hex()
 
