@@ -41,7 +41,7 @@ def test_orbits_of_every_sort(tmp_path):
     hop = of.find_orbit(of.Problem(ball, of.Guess([0.0, 4.9], 1.0), pin=of.pin(energy=12.005)))
     assert hop.certificate.passed and abs(hop.period - 1) < 1e-12
     path = of.save_orbit(hop, tmp_path / "orbit.json")
-    assert set(registry.kinds()) == {"orbit", "family", "equilibria", "diagram", "map"}
+    assert set(registry.kinds()) == {"orbit", "family", "sweep", "equilibria", "diagram", "map"}
     assert registry.load(path).period == hop.period
     with pytest.raises(InputError, match="does not take"):
         registry.answer("plot", path)
