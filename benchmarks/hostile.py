@@ -487,7 +487,7 @@ class Watched:
         line = self.process.stdout.readline()
         if not line:
             code = self.process.wait()
-            self.process = None
+            self.close()
             if code == 1:  # how `guard` ends a command that does not hear its deadline
                 return "refused", LIMIT
             return f"death: exit code {code}", 0.0
@@ -503,7 +503,7 @@ class Watched:
         """End the process."""
         if self.process is not None:
             self.process.kill()
-            self.process.wait()
+            self.process.communicate()  # ends and closes the pipes
             self.process = None
 
 
