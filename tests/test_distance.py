@@ -41,6 +41,13 @@ def test_a_slow_state_counts(rate, off):
     assert off or certificate.passed
 
 
+@pytest.mark.parametrize("rate", ["1e-9", "1e-12", "1e-17"])
+def test_what_a_further_condition_fixes_does_not_count_across_it(rate):
+    """How well the least determined direction is known says nothing of the others: of z, nothing of x and v."""
+    closes = tour(beside({"z": f"-({rate})*(z-1)"}), np.array([*CYCLE, 1.0007]), PERIOD, np.zeros(3, int)).closes
+    assert closes.across < 1e-12 and closes.distance > 7e-4
+
+
 @pytest.mark.parametrize("rate", ["1e-15", "1e-17"])
 def test_a_state_that_no_digits_determine_is_not_certified(rate):
     """Its multiplier is 1 to round-off, and nothing that the equations keep says where it belongs."""

@@ -215,7 +215,6 @@ def test_neutral_saddle_of_a_driven_system_is_no_torus():
     assert products[0] < 1 < products[-1] and not family.events
 
 
-@pytest.mark.slow
 def test_an_isola_closes():
     """y'' = -y' - (y^2 + a^2 - 1): y = sqrt(1 - a^2) stable, y = -sqrt(1 - a^2) a saddle, folds at a = +-1."""
     model = planted(lambda y, rate, a: -rate - (y**2 + a**2 - 1), 0.0)

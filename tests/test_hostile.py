@@ -497,6 +497,18 @@ def test_dense_numbers_are_of_their_kind_and_size(kind, change, tmp_path):
     assert made[0] == 2 and next(iter(change)) in made[1] and ";" in made[1], made
 
 
+def test_whole_numbers_are_numbers(tmp_path):
+    """States that another program wrote as integers, of a system without angles: gaps of its curves were cast to nan."""
+    document = json.loads((SAMPLES / "manifold.json").read_text())
+    document.pop("record", None), document.pop("dense", None)
+    (tmp_path / "manifold.json").write_text(json.dumps(document))
+    with np.load(SAMPLES / "manifold.npz") as data:
+        states = np.arange(data["states"].size).reshape(data["states"].shape)
+        (tmp_path / "manifold.npz").write_bytes(npz(**dict(data) | {"states": states}))
+    made = hostile.done("command", "manifold", ["plot", str(tmp_path / "manifold.json"), "--out", str(tmp_path / "o")])
+    assert made[0] == 0 and "manifold-" in made[1], made
+
+
 def test_dense_numbers_have_finite_squares(tmp_path):
     for name in ("orbit", "map", "section"):
         shutil.copy(SAMPLES / f"{name}.json", tmp_path)

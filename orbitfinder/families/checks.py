@@ -274,7 +274,7 @@ class Sides:
         low, middle, high = self.values(name)
         bent, size = high - 2 * middle + low, max(abs(low), abs(high))
         own, *beside = (probe.tour.closes for probe in (self.here, self.before, self.after))
-        known = own.gap / own.amplification + max(closes.distance for closes in beside)
+        known = own.gap / own.amplification + max(closes.across for closes in beside)
         off = size * (4 * EPSILON + known) + abs(self.here.value(name) - middle)
         if not (low - middle) * (high - middle) > 0:
             return Reading(1.0, SHARP, False)

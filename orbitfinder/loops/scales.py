@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import EPSILON, nonzero
 from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.loop import Loop, Unknowns
 from orbitfinder.mechanics.model import Model
@@ -71,7 +71,8 @@ class Scales:
         way = float(np.sqrt(w.shares @ (moved**2).sum(axis=1)))
         changes = np.abs(whole[whole.size - w.free.size :])
         enough = LEAST_SHARE * changes / way if way > UNMOVED else self.free
-        enough = np.where(enough * felt > UNFELT * self.free, enough, self.free / nonzero(felt))
+        told = (felt <= EPSILON) | (enough * felt > UNFELT * self.free)  # one that acts by its square is not felt at 0
+        enough = np.where(told, enough, self.free / nonzero(felt))
         least = np.where(zero, enough, 0.0)
         return replace(self, free=np.where(zero, least, self.free), least=least)
 

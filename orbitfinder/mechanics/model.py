@@ -512,7 +512,7 @@ def counted(model: Model) -> str:
 def wrapped(gaps: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray:
     """Differences of states (... x 2n) or of coordinates, the first of which are `angles`, these in [-pi, pi)."""
     if not np.any(angles):
-        return gaps
+        return np.asarray(gaps, float)
     left = np.array(gaps, float)
     part = left[..., : len(angles)]
     np.subtract(part, 2 * np.pi * np.floor(part / (2 * np.pi) + 0.5), out=part, where=np.asarray(angles, bool))

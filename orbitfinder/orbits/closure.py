@@ -46,7 +46,7 @@ ROUND_OFF = 30.0
 class Closure:
     """The largest component of the gap in extents of the motion, A, the distance to the true orbit, gap and A of the
     `worst` part of the state that nothing else drives, which may be the whole, the relative error of the period, and
-    the distance `across` the directions in which nothing is determined, for an orbit that a further condition fixes."""
+    the distance `across` the direction that is determined least, for an orbit that a further condition fixes."""
 
     gap: float
     amplification: float
@@ -136,7 +136,7 @@ def distance(
 ) -> tuple[float, float]:  # fmt: skip
     """Norm of the smallest (d, d tau) that makes up for a gap (r) in what `rows` (r x m each) ask of both ends of a
     motion, of which the period changes the last by `late` (m); infinite where any could. And the same across the
-    directions in which any could.
+    direction that is determined least.
 
     What rates alone say of a component that hardly moves is in its gap, and known to the round-off of rates.
     """
@@ -153,7 +153,7 @@ def distance(
     beyond = np.maximum(np.abs(left.T @ gap) - EPSILON * excused, 0.0) + SHAKEN * EPSILON * hidden
     known = singular - MATRIX * grown
     steps = np.divide(beyond, known, out=np.full(known.shape, np.inf), where=known > 0)
-    return float(np.linalg.norm(steps)), float(np.linalg.norm(steps[known > 0]))
+    return float(np.linalg.norm(steps)), float(np.linalg.norm(np.sort(steps)[:-1]))
 
 
 def still(states: np.ndarray) -> np.ndarray:
