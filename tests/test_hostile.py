@@ -498,7 +498,7 @@ def test_dense_numbers_are_of_their_kind_and_size(kind, change, tmp_path):
 
 
 def test_whole_numbers_are_numbers(tmp_path):
-    """States that another program wrote as integers, of a system without angles: gaps of its curves were cast to nan."""
+    """States that another program wrote as integers, of a system without angles, are drawn."""
     document = json.loads((SAMPLES / "manifold.json").read_text())
     document.pop("record", None), document.pop("dense", None)
     (tmp_path / "manifold.json").write_text(json.dumps(document))

@@ -405,7 +405,7 @@ def test_what_no_event_explains_is_said(tmp_path):
     result = CliRunner().invoke(cli, asked)
     document = json.loads(result.stdout)
     assert result.exit_code == 1 and document["events"] == []
-    said = r"unknown: the number of growing eigenvalues is 0 at p [\d.]+ and 4 at [\d.]+, .* would part"
+    said = r"unknown: the number of growing eigenvalues is 0 at p [\d.]+ and 4 at [\d.]+, .* to separate them"
     assert re.fullmatch(said, document["unknown"][0])
 
     def rates(_, s, p):

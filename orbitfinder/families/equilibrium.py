@@ -187,8 +187,8 @@ class Equilibria(Tabled):
             if not self.curve and not any(fewest - most <= change <= greatest - least for change in reached):
                 sentences.append(
                     f"unknown: the number of growing eigenvalues is {least} at {self.parameter} {before.value:.12g} "
-                    f"and {fewest} at {after.value:.12g}, and the events found between do not explain it: several may "
-                    "cross together, which another parameter would part"
+                    f"and {fewest} at {after.value:.12g}, and no event between them explains the change; several may "
+                    "cross at once: change another parameter to separate them"
                 )
         return tuple(sentences)
 
