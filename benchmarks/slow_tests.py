@@ -83,7 +83,8 @@ def read(printed: str) -> dict[str, Any]:
     result = re.sub(r",? *\d+ (deselected|warnings?)", "", last[-1]).strip(", ") if last else "no summary"
     passed = bool(last) and not re.search(r"\bfailed|error", result)
     return {
-        "seconds": round(sum(spent.values())), "longest": f"{name} {longest:.0f} s", "result": result, "passed": passed
+        "seconds": round(sum(spent.values())), "longest": f"{name} {longest:.0f} s", "result": result, "passed": passed,
+        "failed": re.findall(r"^(?:FAILED|ERROR) \S+?::(\S+)", printed, re.MULTILINE),
     }  # fmt: skip
 
 

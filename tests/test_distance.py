@@ -204,3 +204,11 @@ def test_what_stands_still_is_measured_in_its_own_size(off):
     model, rate = of.systems.spherical_pendulum(), np.sqrt(9.8 / np.cos(0.6))
     orbit = record(model, [0.6, 0.0, 0.0, rate], 2 * np.pi / rate * (1 + off), winding=(0, 1))
     assert check(certify(orbit, model), "distance").passed == (off == 0.0)
+
+
+@pytest.mark.parametrize("off", [1e-3, 1e-6, 1e-8])
+def test_what_hardly_moves_is_measured_beside_what_does(off):
+    """Beside a conical pendulum: the angle from the vertical moves by `off`, its rate by what round-off leaves of g."""
+    model, rate = of.systems.spherical_pendulum(), np.sqrt(9.8 / np.cos(0.6))
+    orbit = record(model, [0.6 + off, 0.0, off, rate], 2 * np.pi / rate, winding=(0, 1))
+    assert not certify(orbit, model).passed

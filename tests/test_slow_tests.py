@@ -24,6 +24,7 @@ PASSED = {**FAILED, "commit": "1a", "result": "3 passed", "passed": True, "secon
 def test_a_run_has_seconds_the_longest_and_the_result():
     assert (FAILED["seconds"], FAILED["longest"]) == (16, "test_long[one] 15 s")
     assert (FAILED["result"], FAILED["passed"]) == ("1 failed, 2 passed", False)
+    assert FAILED["failed"] == ["test_short"]
     assert slow_tests.read("12 passed in 3 s")["passed"] and not slow_tests.read("Killed")["passed"]
 
 

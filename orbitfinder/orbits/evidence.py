@@ -554,7 +554,7 @@ def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
     back, forth = ([each for each in own if each.sense == sense] for sense in (-1, 1))
     forth += [last.after(first) for last, first in combinations(back, 2) if not (last.order or first.order)]
     for begin in back:
-        start = _centred(begin, motion, field, model.angular)
+        start = _centred(begin, motion, field, model)
         again = canonical_motion(model, start, period, motion.turns, evenly(period), TIGHTEST)
         for symmetry in (Symmetry((begin, *more), model.rates is not None) for more in ((), *zip(forth))):
             path, pieces = again.path[: SAMPLES // symmetry.parts + 1], again.transitions[: PIECES // symmetry.parts]
@@ -568,17 +568,16 @@ def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
     return least
 
 
-def _centred(begin: Involution, motion: Motion, field: VectorField, angles: np.ndarray) -> np.ndarray:
+def _centred(begin: Involution, motion: Motion, field: VectorField, model: Model) -> np.ndarray:
     """The state (d) of a motion where it is nearest to the fixed set of an involution."""
-    states, step = motion.states, KNOWN * float(motion.times[-1])
-    size = np.maximum(np.ptp(states, axis=0), KNOWN * np.abs(states).max(axis=0))
-    size = np.where(size > 0.0, size, 1.0)
+    states, period, angles = motion.states, float(motion.times[-1]), model.angular
+    size, step = np.maximum(extents_of(model, states, period), KNOWN * np.abs(states).max(axis=0)), KNOWN * period
     k = int(np.abs(off_centre(begin, states[1:], angles)).max(axis=1).argmin())
     x, since = states[k + 1], float(motion.times[k + 1] - motion.times[k])
     for _ in range(5):
         off, after = off_centre(begin, np.array([x, x + step * field(0.0, x)]), angles)
         nearer = since - step * float(off @ (after - off)) / nonzero(float((after - off) @ (after - off)))
-        since = min(max(nearer, step), float(motion.times[-1]))  # where nothing moves it is anywhere
+        since = min(max(nearer, step), period)  # where nothing moves it is anywhere
         x = integrate_in(size, field, states[k], np.array([0.0, since]))[-1]
     return np.asarray(x)
 
