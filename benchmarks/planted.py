@@ -160,8 +160,18 @@ def others() -> list[tuple[str, of.Orbit, Model]]:
 
 
 def elsewhere(kind: str, orbit: of.Orbit, model: Model, random: np.random.Generator) -> Iterator[Plant]:
-    """Periods, states and entries of the other kinds of records."""
-    units = np.maximum(np.ptp(orbit.samples, axis=0) if len(orbit.samples) else np.abs(orbit.state), 1e-3)
+    """Periods, states and entries of the other kinds of records: what they are off by is a share of the motion (of a
+    canonical one's action, of p dq along it), and no symmetry is planted that the samples have."""
+    if model.hybrid is not None and not orbit.control:
+        units = gather_hybrid(model, orbit.state, orbit.period, np.asarray(orbit.winding)).extents
+    else:
+        units = np.maximum(np.ptp(orbit.samples, axis=0) if len(orbit.samples) else np.abs(orbit.state), 1e-3)
+    half, places = orbit.state.size // 2, np.arange(len(orbit.samples)) + (len(orbit.samples) - 1) // 2
+    turned = orbit.samples + orbit.samples[places % max(len(orbit.samples) - 1, 1)]
+    reflected = len(turned) % 2 == 1 and bool(np.all(np.ptp(turned, axis=0) < 1e-6 * units))
+    gone = abs(orbit.action)
+    if model.hamiltonian and len(orbit.samples):
+        gone = max(gone, float(np.abs(orbit.samples).max(axis=0)[half:] @ units[:half]))
     bare = replace(orbit, times=np.zeros(0), samples=np.zeros((0, orbit.state.size)))
     for off in OFF:
         for sign in (1, -1):
@@ -179,10 +189,10 @@ def elsewhere(kind: str, orbit: of.Orbit, model: Model, random: np.random.Genera
                                 energy=energy(model, state))  # fmt: skip
             yield Plant(f"{kind}: state", moved, model)
     wrong = {
-        "action": orbit.action * (1 + 1e-6) + 1e-6 * (orbit.action == 0), "closure": orbit.closure + 1e-3 * units.max(),
+        "action": orbit.action + 1e-6 * (gone or 1.0), "closure": orbit.closure + 1e-3 * units.max(),
         "floquet_multipliers": orbit.floquet_multipliers + 1e-4 if orbit.floquet_multipliers.size else np.ones(2),
         "stability": "elliptic" if orbit.stability != "elliptic" else "unstable",
-        "symmetry": "reflection" if orbit.symmetry != "reflection" else "brake",
+        "symmetry": "brake" if orbit.symmetry == "reflection" or reflected else "reflection",
         "unfolding": (1e-3 / orbit.period,),
     }  # fmt: skip
     for name, value in wrong.items():

@@ -149,8 +149,9 @@ def distance(
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     size = np.where(still(states), np.abs(later[-1] - np.eye(size.size)) @ size / SHAKEN, size)
     hidden = np.max([np.linalg.norm(left.T @ last @ after * size, axis=1) for after in later], axis=0)
-    excused = np.minimum(ROUND_OFF * LARGEST_SCALE, grown * np.linalg.norm(gap) / nonzero(singular))
-    beyond = np.maximum(np.abs(left.T @ gap) - EPSILON * excused, 0.0) + SHAKEN * EPSILON * hidden
+    along = np.abs(left.T @ gap)  # of which the error of the columns tilts so much from the others
+    excused = min(ROUND_OFF * LARGEST_SCALE, grown * float(np.linalg.norm(along / nonzero(singular))))
+    beyond = np.maximum(along - EPSILON * excused, 0.0) + SHAKEN * EPSILON * hidden
     known = singular - MATRIX * grown
     steps = np.divide(beyond, known, out=np.full(known.shape, np.inf), where=known > 0)
     return float(np.linalg.norm(steps)), float(np.linalg.norm(np.sort(steps)[:-1]))
