@@ -134,6 +134,11 @@ def _checked(value: str, field: str = "compile") -> str:
     return value
 
 
+def surroundings() -> tuple[str | None, ...]:
+    """What chooses the compiler and the place of the cache: by these what is remembered is told apart."""
+    return os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE")
+
+
 def set_mode(value: str) -> None:
     """Compile always ("on"), never ("off"), or where the work pays for it ("auto"), in this process."""
     _chosen[:1] = [_checked(value)]
@@ -181,8 +186,7 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
         return function
     if mode() != "on" and effort is not None and effort < LIMITS.starting:
         return function
-    surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
-    key = (Same(function), mode(), *surroundings, mode() == "on" or effort is None or effort)
+    key = (Same(function), mode(), *surroundings(), mode() == "on" or effort is None or effort)
     return _known(key, lambda: _tried(function, effort))
 
 
@@ -224,8 +228,8 @@ def _library(function: ca.Function, effort: float | None) -> ca.Function:
 def library(code: str, opened: Callable[[Path, bool], T], effort: float | None, level: str = "") -> T:
     """What `opened(path, new)` makes of C as a shared library, from this process, from the disk or made now.
 
-    `opened` removes a file that is not as it must be; `level` of optimisation, "" for what suits the length. Raises
-    `Unavailable` and `OSError`.
+    A file that it cannot load, or of which it raises `Unavailable`, is removed; `level` of optimisation, "" for what
+    suits the length. Raises `Unavailable` and `OSError`.
     """
     compiler, (code, numbers) = _leveled(level), apart(code)
     key = _key(code, compiler)
@@ -233,7 +237,10 @@ def library(code: str, opened: Callable[[Path, bool], T], effort: float | None, 
     def holds(path: Path, new: bool) -> T:
         try:
             with holding(path, numbers) as own:
-                return opened(own, new)
+                try:
+                    return opened(own, new)
+                except (OSError, AttributeError) as error:
+                    raise Unavailable(f"the library cannot be loaded: {error}") from None
         except (ValueError, Unavailable) as error:
             path.unlink(missing_ok=True)  # of which a copy may have been opened
             raise Unavailable(str(error)) from None
@@ -340,14 +347,12 @@ def _loaded(path: Path | None, opened: Callable[[Path, bool], T]) -> T | None:
 
 
 def _opened(path: Path, function: ca.Function, new: bool) -> ca.Function:
-    """A library loaded and, when new, compared with the interpreter at one point; `Unavailable` removes its file."""
+    """A library loaded and, when new, compared with the interpreter at one point."""
     try:
         library = ca.external(function.name(), str(path))
     except RuntimeError as error:
-        path.unlink(missing_ok=True)
         raise Unavailable(f"the library cannot be loaded: {error}") from None
     if _signature(library) != _signature(function) or (new and not _agrees(library, function)):
-        path.unlink(missing_ok=True)
         raise Unavailable("the compiled function disagrees with the interpreted one")
     return library
 

@@ -9,7 +9,6 @@ says so by a `CompiledField`.
 from __future__ import annotations
 
 import ctypes
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,7 +24,15 @@ from scipy.integrate import DOP853, ode
 
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.caches import Kept, Same
-from orbitfinder.integrate.compiled import Unavailable, attempted, begin, casadi_code, expected_seconds, library, mode
+from orbitfinder.integrate.compiled import (
+    attempted,
+    begin,
+    casadi_code,
+    expected_seconds,
+    library,
+    mode,
+    surroundings,
+)
 from orbitfinder.integrate.evaluate import Buffered
 
 VectorField = Callable[[float, np.ndarray], np.ndarray]
@@ -192,7 +199,7 @@ class Work:
         expected = expected_seconds(len(code))
         if self.spent < expected and mode() == "auto":
             self._next = expected
-        return library(code, lambda path, new: _opened(path), self.spent)
+        return library(code, lambda path, new: Library(path), self.spent)
 
 
 class _FunctionWork(Work):
@@ -209,8 +216,7 @@ _works = Kept[_FunctionWork](REMEMBERED)
 
 
 def _work(function: ca.Function) -> _FunctionWork:
-    surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
-    return _works((Same(function), *surroundings), lambda: _FunctionWork(function))
+    return _works((Same(function), *surroundings()), lambda: _FunctionWork(function))
 
 
 def expect(function: ca.Function | Bound, effort: float | None, stiff: bool = False) -> Work:
@@ -261,14 +267,6 @@ def _rules() -> dict[str, str]:
     solver.integrate(10.0)
     fresh = len(asked) > 225  # 262 since 1.17, 191 before
     return {"REFUSED": "most_cut" if fresh else "fmin", "ROUND_OFF": "2.220446049250313e-16" if fresh else "2.3e-16"}
-
-
-def _opened(path: Path) -> Library:
-    try:
-        return Library(path)
-    except (OSError, AttributeError) as error:
-        path.unlink(missing_ok=True)
-        raise Unavailable(f"the library cannot be loaded: {error}") from None
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.caches import Kept, Same
-from orbitfinder.integrate.compiled import LIMITS, Unavailable, attempted, library, mode, worth_it
+from orbitfinder.integrate.compiled import LIMITS, attempted, library, mode, surroundings, worth_it
 from orbitfinder.integrate.lanes.emit import emitted, scalars
 from orbitfinder.integrate.lanes.kernel import LEVEL, march_code, source, varied_forms
 
@@ -73,12 +72,11 @@ def advance_of(
     def made() -> Advance:
         code = _code(field, integrand, conditions)
         worth_it(len(code), effort)
-        return library(code, lambda path, new: _opened(path), None, LEVEL)
+        return library(code, lambda path, new: Advance(path), None, LEVEL)
 
     if mode() == "off":
         return None
-    surroundings = (mode(), effort, os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
-    key = (Same(field), Same(integrand), Same(conditions), *surroundings)
+    key = (Same(field), Same(integrand), Same(conditions), mode(), effort, *surroundings())
     return _advances(key, lambda: attempted(field.name(), made))
 
 
@@ -91,11 +89,3 @@ def _code(field: ca.Function, integrand: ca.Function | None, conditions: ca.Func
         emitted(scalars(conditions), "conditions"),
     )
     return "".join([heads, *bodies, source("pivots.c"), source("advance.c")])
-
-
-def _opened(path: Path) -> Advance:
-    try:
-        return Advance(path)
-    except (OSError, AttributeError) as error:
-        path.unlink(missing_ok=True)
-        raise Unavailable(f"the library cannot be loaded: {error}") from None

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from orbitfinder._runtime import limit
-from orbitfinder.integrate.compiled import Unavailable, attempted, library, mode
+from orbitfinder.integrate.compiled import attempted, library, mode, surroundings
 from orbitfinder.integrate.lanes.kernel import source
 
 
@@ -64,7 +63,7 @@ class Bordered:
 
 def chains() -> ctypes.CDLL | None:
     """What factorises them; None without a compiler."""
-    return None if mode() == "off" else _made(mode(), os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
+    return None if mode() == "off" else _made(mode(), *surroundings())
 
 
 @lru_cache(maxsize=8)
@@ -74,12 +73,8 @@ def _made(*_: str | None) -> ctypes.CDLL | None:
 
 
 def _opened(path: Path) -> ctypes.CDLL:
-    try:
-        opened = ctypes.CDLL(str(path))
-        opened.prepared.argtypes = [ctypes.c_void_p] * 6
-        opened.stepped.argtypes = [ctypes.c_void_p] * 8
-        opened.stepped.restype = None
-    except (OSError, AttributeError) as error:
-        path.unlink(missing_ok=True)
-        raise Unavailable(f"the library cannot be loaded: {error}") from None
+    opened = ctypes.CDLL(str(path))
+    opened.prepared.argtypes = [ctypes.c_void_p] * 6
+    opened.stepped.argtypes = [ctypes.c_void_p] * 8
+    opened.stepped.restype = None
     return opened

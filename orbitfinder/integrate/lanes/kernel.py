@@ -9,7 +9,6 @@ Without a compiler, or for a field that is no expression of scalars, there is no
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Callable
 from functools import lru_cache
 from importlib.resources import files
@@ -22,7 +21,7 @@ import numpy as np
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import LEAST
-from orbitfinder.integrate.compiled import LIMITS, Unavailable, attempted, begin, library, mode, worth_it
+from orbitfinder.integrate.compiled import LIMITS, Unavailable, attempted, begin, library, mode, surroundings, worth_it
 from orbitfinder.integrate.lanes.emit import field_code, scalars
 from orbitfinder.integrate.lanes.factors import SparseSlopes, sparse_slopes
 from orbitfinder.integrate.rk8 import directional_field, step_of, variational_field
@@ -111,20 +110,15 @@ class Kernel:
         return self._libraries[alone]
 
     def _made(self, alone: bool) -> ctypes.CDLL:
-        return library(_of_lanes(self._code, alone), lambda path, new: self._opened(path, new), None, LEVEL)
+        return library(_of_lanes(self._code, alone), self._opened, None, LEVEL)
 
     def _opened(self, path: Path, new: bool) -> ctypes.CDLL:
         """A library loaded and, when new, compared with the interpreter."""
-        try:
-            opened = ctypes.CDLL(str(path))
-            opened.march.argtypes = SIGNATURE
-            if hasattr(opened, "evaluated"):  # what has no variations
-                opened.evaluated.argtypes = [ctypes.c_ssize_t, ctypes.c_int, *[ctypes.c_void_p] * 4]
-        except (OSError, AttributeError) as error:
-            path.unlink(missing_ok=True)
-            raise Unavailable(f"the library cannot be loaded: {error}") from None
+        opened = ctypes.CDLL(str(path))
+        opened.march.argtypes = SIGNATURE
+        if hasattr(opened, "evaluated"):  # what has no variations
+            opened.evaluated.argtypes = [ctypes.c_ssize_t, ctypes.c_int, *[ctypes.c_void_p] * 4]
         if new and not _agrees(opened.march, self._known):
-            path.unlink(missing_ok=True)
             raise Unavailable("the compiled march disagrees with the interpreted field")
         return opened
 
@@ -180,8 +174,7 @@ def _kept(
 
     if mode() == "off":
         return None
-    surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
-    whole, name = (*key, inverses, mode(), effort, *surroundings), key[0].thing.name()
+    whole, name = (*key, inverses, mode(), effort, *surroundings()), key[0].thing.name()
     if not ahead:
         return _kernels(whole, lambda: attempted(name, lambda: Kernel(*_written(whole, written), alone)))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import LEAST
-from orbitfinder.integrate.compiled import LIMITS, Unavailable, attempted, library, mode, worth_it
+from orbitfinder.integrate.compiled import LIMITS, attempted, library, mode, surroundings, worth_it
 from orbitfinder.integrate.lanes.emit import emitted, scalars
 from orbitfinder.integrate.lanes.kernel import LEVEL, source
 
@@ -66,18 +65,9 @@ def staging(linear: ca.Function, points: int, forced: bool, added: bool, effort:
         heads = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
         code = "".join([heads, source("kernel.c"), emitted(scalars(linear), "collocated"), source("stages.c")])
         worth_it(len(code), effort)
-        return library(code, lambda path, new: _opened(path, numbers), None, LEVEL)
+        return library(code, lambda path, new: Staging(path, numbers), None, LEVEL)
 
     if mode() == "off":
         return None
-    surroundings = (mode(), effort, os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
-    key: tuple[Any, ...] = (Same(linear), points, forced, *surroundings)
+    key: tuple[Any, ...] = (Same(linear), points, forced, mode(), effort, *surroundings())
     return _stagings(key, lambda: attempted(linear.name(), made))
-
-
-def _opened(path: Path, numbers: int) -> Staging:
-    try:
-        return Staging(path, numbers)
-    except (OSError, AttributeError) as error:
-        path.unlink(missing_ok=True)
-        raise Unavailable(f"the library cannot be loaded: {error}") from None
