@@ -189,7 +189,7 @@ class Arrangement:
 
     def stepped(self, arc: int) -> ca.Function:
         """(x, h, s, given) -> states after each step of an interval of h s (d x steps), integrals, no rows."""
-        inputs, rate, _, rates = self.driven(arc, ca.SX.sym if self.mode(arc).scalar else ca.MX.sym)
+        inputs, rate, _, rates = self.driven(arc, self.mode(arc).symbol)
         count, symbol = len(rates), type(inputs[0]).sym
         moment, x, s, given = inputs
         h, whole = symbol("h"), symbol("whole", self.size + count)
@@ -207,7 +207,7 @@ class Arrangement:
 
     def collocated(self, arc: int) -> ca.Function:
         """The same with the states at collocation points z (d x POINTS x steps) given, and the rows that they obey."""
-        inputs, rate, _, rates = self.driven(arc, ca.SX.sym if self.mode(arc).scalar else ca.MX.sym)
+        inputs, rate, _, rates = self.driven(arc, self.mode(arc).symbol)
         _, x, s, given = inputs
         field = ca.Function("f", inputs, [rate, ca.vertcat(*rates)])
         taus = ca.collocation_points(POINTS, "legendre")
@@ -228,7 +228,7 @@ class Arrangement:
 
     def watched(self, arc: int, tasks: Sequence[Task]) -> ca.Function:
         """(share, x, s, given, period) -> expressions of tasks (k) at a place of the motion."""
-        inputs, _, p, _ = self.driven(arc, ca.SX.sym if self.mode(arc).scalar else ca.MX.sym)
+        inputs, _, p, _ = self.driven(arc, self.mode(arc).symbol)
         x, free, period = inputs[1], inputs[3][self.first_free :], type(inputs[1]).sym("period")
         rows = [self.task(task, x, p, free, period) for task in tasks]
         return ca.Function("watched", [*inputs, period], [ca.densify(type(inputs[1])(ca.vertcat(*rows)))])

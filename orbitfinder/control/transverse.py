@@ -146,7 +146,7 @@ def authority(period: Scattering, duration: float) -> tuple[float, complex]:
 def _slopes(reference: Reference) -> ca.Function:
     """(t, x, u) -> g, dg/dy and dg/du in units, and P."""
     model, size = reference.model, reference.units.size
-    symbol = ca.SX.sym if model.scalar else ca.MX.sym
+    symbol = model.symbol
     t, x, u = symbol("t"), symbol("x", size), symbol("u", len(reference.names))
     rate = vector_field(model, reference.names)(t, x, type(x)(0, 1), u)
     units = ca.DM(reference.units)

@@ -148,7 +148,7 @@ def at_rest(model: Model) -> ca.Function:
 
 def driven_rest(model: Model, times: np.ndarray) -> tuple[np.ndarray, Any]:
     """Of x' = f(t, x) with the Model's parameter values, f(t, 0) (s x d) at times (s), and df/dx(0, 0), sparse."""
-    symbol, rest = ca.SX.sym if model.scalar else ca.MX.sym, np.zeros(len(model.state_names))
+    symbol, rest = model.symbol, np.zeros(len(model.state_names))
     t, x, field = symbol("t"), symbol("x", rest.size), vector_field(model)
     rate = field(t, x, [], [])
     slopes = ca.Function("slopes", [t, x], [ca.jacobian(rate, x)])(0.0, rest)
@@ -171,7 +171,7 @@ def under_constraints(model: Model) -> Rest:
 def linearised(model: Model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """(q, v) -> the accelerations (n) of an autonomous Model and their slopes in q and in v (n x n each)."""
     n = model.degrees_of_freedom
-    symbol = ca.SX.sym if model.scalar else ca.MX.sym
+    symbol = model.symbol
     q, v = symbol("q", n), symbol("v", n)
     a = model.acceleration(0.0, q, v, ca.DM(model.parameter_values))
     slopes = [ca.densify(ca.jacobian(a, q)), ca.densify(ca.jacobian(a, v))]
@@ -195,7 +195,7 @@ def with_action(model: Model, field: ca.Function) -> ca.Function:
 @_once
 def action_rate(model: Model) -> ca.Function:
     """What the action is the integral of (see `Model.action_rate`), as a function of (t, x, p)."""
-    symbol = ca.SX.sym if model.scalar else ca.MX.sym
+    symbol = model.symbol
     inputs = [symbol("t"), symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names))]
     return ca.Function("action_rate", inputs, [model.action_rate(*inputs)])
 

@@ -56,7 +56,7 @@ class Jets:
     def _stated(self) -> tuple[Any, Any, Any, Any]:
         """z, p, the values that are kept, G."""
         model, n, d = self.model, self.model.degrees_of_freedom, self.size
-        symbol = ca.SX.sym if model.scalar else ca.MX.sym
+        symbol = model.symbol
         z, p, kept = symbol("z", d + self.extra), symbol("p", len(self.free)), symbol("kept", len(self.keeping))
         x, s, values = z[:d], z[d:], model.parameters(self.free, p)
         rates, rows = model.rate(0.0, x, values), []
@@ -118,7 +118,7 @@ class Jets:
         """(x, p) -> of the integrals that have one: the directions (k x d) of their symmetries, and their gradients."""
         model, n = self.model, self.model.degrees_of_freedom
         moving = [one for one in self.unfolded if one.generator is not None]
-        symbol = ca.SX.sym if model.scalar else ca.MX.sym
+        symbol = model.symbol
         x, p = symbol("x", self.size), symbol("p", len(self.free))
         parts = x[:n], x[n:], model.parameters(self.free, p)
         rows = [ca.horzcat(*(ca.densify(one.generator(*parts)) for one in moving if one.generator is not None)),

@@ -146,7 +146,7 @@ def _reaction(kinetic: Any, potential: Any, phi: Any, q: Any, v: Any, forces: An
 
 def _first_order(model: Model, free: tuple[str, ...]) -> Canonical:
     """The rates of a first-order Model and nothing else: its state is where it is."""
-    n, symbol = model.degrees_of_freedom, ca.SX.sym if model.scalar else ca.MX.sym
+    n, symbol = model.degrees_of_freedom, model.symbol
     t, x, v, (values, given) = symbol("t"), symbol("x", n), symbol("v", 0), _parameters(model, free, symbol)
     rate, nothing = model.rates(t, x, values), type(x)(0, 1)  # type: ignore[misc]
     system = Coordinates(

@@ -455,7 +455,7 @@ def _function(name: str, expression: Expression, model: Model, told: str) -> ca.
         return expression
     with in_symbols(told):
         try:
-            return made(ca.SX.sym if model.scalar else ca.MX.sym)
+            return made(model.symbol)
         except NotImplementedError:  # it calls functions of matrices
             return made(ca.MX.sym)
 

@@ -353,6 +353,11 @@ class Model(Shown):
         """True when the equations are graphs of scalars (SX) and not of matrices (MX)."""
         return bool((self.rates or self.acceleration).is_a("SXFunction"))
 
+    @property
+    def symbol(self) -> Any:
+        """What makes symbols for its equations: `SX.sym` of scalars, else `MX.sym`."""
+        return ca.SX.sym if self.scalar else ca.MX.sym
+
     def rate(self, t: Any, x: Any, p: Any) -> Any:
         """x' (d) at a time and a state (d)."""
         if self.rates is not None:
@@ -458,7 +463,7 @@ def vector_field(model: Model, free: Sequence[str] = (), unfolded: Sequence[Inva
     Of a first-order system it is the rates + sum_k s_k grad I_k.
     """
     n = model.degrees_of_freedom
-    symbol: Any = ca.SX.sym if model.scalar else ca.MX.sym
+    symbol = model.symbol
     t, x = symbol("t"), symbol("x", len(model.state_names))
     s, chosen = symbol("s", len(unfolded)), symbol("free", len(free))
     parameters = model.parameters(free, chosen)

@@ -129,7 +129,7 @@ def along_parameter(model: Model, parameter: str, coordinate: int) -> tuple[ca.F
     """The field of (x, p, x_i') in which the parameter p rests, and what makes x_i' of the state again; of a forced
     model that of (x, p), with time in periods of its forcing."""
     field, d = vector_field(model, [parameter]), len(model.state_names)
-    symbol: Any = ca.SX.sym if model.scalar else ca.MX.sym
+    symbol = model.symbol
     t, y, none = symbol("t"), symbol("y", d + (1 if model.forced else 2)), symbol("none", 0)
     x, p = y[:d], y[d]
     if model.forced:
