@@ -209,6 +209,6 @@ def _with_clock(source: Source) -> tuple[np.ndarray, np.ndarray]:
     if _symmetries(source):
         return times / source.orbit.period, states
     if source.model.forcing_period is not None:
-        turn = 2 * np.pi * times / float(source.model.forcing_period(source.model.parameter_values))
+        turn = 2 * np.pi * times / source.model.driving_period
         states = np.column_stack([states, np.cos(turn), np.sin(turn)])
     return times, states

@@ -413,7 +413,7 @@ def _energy_refused(problem: Any, asked: Pin) -> str:
 def _period_refused(problem: Any, _: Pin) -> str:
     if problem.model.forcing_period is None:
         return ""
-    clock = float(problem.model.forcing_period(problem.model.parameter_values))
+    clock = problem.model.driving_period
     return (
         f"the forcing prescribes the period, a multiple of {clock:.9g} s (guess.period chooses which, now "
         f"{problem.forcing_cycles}); leave period out"

@@ -481,7 +481,7 @@ def _check_forcing(problem: Problem) -> None:
                 "system: its equations depend on time; declare the period of that, Symbols(..., forcing_period=...)"
             )
         return
-    clock = float(model.forcing_period(model.parameter_values))
+    clock = model.driving_period
     if not (np.isfinite(clock) and clock > 0):
         raise InputError(f"forcing_period: must be positive and finite, got {clock}; check the forcing's frequency")
 

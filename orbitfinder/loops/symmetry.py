@@ -417,7 +417,7 @@ class Symmetry:
             )
         half = 0.0
         if model.forcing_period is not None:
-            half = cycles * float(model.forcing_period(model.parameter_values)) / 2
+            half = cycles * model.driving_period / 2
         for involution in self.maps:
             if _broken(model, state, involution, half if involution.sense > 0 else 0.0):
                 meaning = involution.in_words(model.state_names[: model.degrees_of_freedom])
@@ -852,7 +852,7 @@ def symplectic(model: Model) -> bool:
     forces, random, n = model.forces, np.random.default_rng(0), model.degrees_of_freedom
     slopes = _slopes(Same(forces), lambda: forces.jacobian())
     lengths, _ = surroundings(model, np.zeros(n))
-    clock = float(model.forcing_period(model.parameter_values)) / (2 * np.pi)  # type: ignore[misc]
+    clock = model.driving_period / (2 * np.pi)
     for size in np.tile(RECOGNISED.sizes, 2):
         t, (q, v) = float(random.uniform()) * clock, size * random.normal(0, 1.0, (2, n)) * lengths / [[1.0], [clock]]
         by_q, by_v = (slope.full() for slope in slopes(t, q, v, model.parameter_values, 0)[1:3])

@@ -339,6 +339,11 @@ class Model(Shown):
         return self.forcing_period is not None
 
     @property
+    def driving_period(self) -> float:
+        """The period (s) of an explicit dependence on time, by the model's own parameters; only of what is `forced`."""
+        return float(self.forcing_period(self.parameter_values))  # type: ignore[misc]
+
+    @property
     def degrees_of_freedom(self) -> int:
         """n, the number of generalized coordinates; of a first-order system, of all components of the state."""
         return len(self.state_names) // (2 if self.rates is None else 1)
@@ -393,7 +398,7 @@ class Model(Shown):
         """Periods of the forcing in `period` (s), to the nearest and at least 1; 0 for an autonomous model."""
         if self.forcing_period is None:
             return 0
-        return max(1, round(period / float(self.forcing_period(self.parameter_values))))
+        return max(1, round(period / self.driving_period))
 
     def check_clock(self, name: str, numbers: Sequence[float] | np.ndarray) -> None:
         """`InputError` for values of a physical parameter at which the forcing has no period."""

@@ -506,7 +506,7 @@ def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
     if model.forcing_period is None:
         return None
     cycles = model.forcing_cycles(orbit.period)
-    wanted = cycles * float(model.forcing_period(model.parameter_values))
+    wanted = cycles * model.driving_period
     return at_most("forcing_period", abs(orbit.period / wanted - 1), 1e-14, f"period / {cycles} forcing periods - 1")
 
 

@@ -287,7 +287,7 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     loops, state = loops_of(model.system), np.asarray(given.state or [], float)
     looped = model.constraint is not None or (system_kind(model.system).drawn and given.angles is not None)
     looped &= loops.minimal is not None
-    forced = None if model.forcing_period is None else float(model.forcing_period(model.parameter_values))
+    forced = None if model.forcing_period is None else model.driving_period
     linkage_keys = [key for key in ("angles", "branch", "rates") if getattr(given, key) is not None]
     if linkage_keys and not looped:
         raise InputError(

@@ -100,7 +100,7 @@ def frequency_map(model: Model, starts: Any, duration: float) -> FrequencyMap:
     for part in np.split(well, range(width, well.size, width)) if well.size else ():
         signals = _signals(model, path[:, part])
         halves[:, part, : signals.shape[2]] = np.stack(_lines(signals, step), axis=3)
-    known = (2 * np.pi / float(model.forcing_period(model.parameter_values)),) if model.forced else ()  # type: ignore[misc]
+    known = (2 * np.pi / model.driving_period,) if model.forced else ()
     chosen = np.full((2, len(begins), count), np.nan)
     for k in well:
         chosen[:, k] = _basis(halves[:, k], known, count, 4 * np.pi / duration)

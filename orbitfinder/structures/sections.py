@@ -206,7 +206,7 @@ def _plane(model: Model, plane: str | None, direction: int, state: np.ndarray | 
     if not model.smooth:
         return Plane(-1)
     if model.forced:
-        return Plane(-1, 0.0, 0, float(model.forcing_period(model.parameter_values)))  # type: ignore[misc]
+        return Plane(-1, 0.0, 0, model.driving_period)
     if plane is None:
         if state is None:
             return Plane(0, 0.0, direction, 2 * np.pi if model.angular[0] else 0.0)

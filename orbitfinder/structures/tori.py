@@ -480,7 +480,7 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
     if own.conservative:
         checks.append(at_most("energy", _spread(own, starts, torus.energy), INVARIANT, "over the curve, relative"))
     if own.forced:
-        cycles = torus.period / float(own.forcing_period(own.parameter_values))  # type: ignore[misc]
+        cycles = torus.period / own.driving_period
         checks.append(at_most("forcing", abs(cycles - round(cycles)), INVARIANT, "a return is whole periods of it"))
     return replace(torus, certificate=Certificate(tuple(checks)))
 

@@ -24,7 +24,7 @@ def linear_response(model: Model) -> Guess:
     """
     if model.forcing_period is None:
         raise InputError("guess.linear: this system is not driven; give mode and amplitude, or state and period")
-    period = float(model.forcing_period(model.parameter_values))
+    period = model.driving_period
     times = period * np.linspace(0.0, 1.0, SAMPLES + 1)
     drive, slopes = driven_rest(model, times[:-1])
     drive = np.fft.rfft(drive, axis=0)

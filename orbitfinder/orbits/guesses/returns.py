@@ -104,7 +104,7 @@ def recurrences(
     returns = close_returns(times, states, model.angles, count, longest)
     if model.forcing_period is None:
         return returns
-    return [_on_the_beat(each, times, states, float(model.forcing_period(model.parameter_values))) for each in returns]
+    return [_on_the_beat(each, times, states, model.driving_period) for each in returns]
 
 
 def first_return(model: Model, state: np.ndarray, longest: float | None = None) -> float:
