@@ -123,7 +123,7 @@ class Controlled:
         if strategy == "loop":
             return replace(problem, guess=self._loop(period, held, random))
         moved = random.normal(size=self.extents.size) * random.uniform(0.0, 0.5) * self.extents
-        state = np.asarray(problem.guess.state, float) + moved
+        state = problem.guess.start + moved
         names = problem.model.state_names
         state = np.array([held.get(name, float(x)) for name, x in zip(names, state, strict=True)])
         guess, control = Guess(state, period), problem.control

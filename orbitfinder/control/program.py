@@ -348,7 +348,7 @@ class Program:
         if guess.states is not None:
             nodes = guessed_nodes(guess, self.mesh[:-1])
         else:
-            nodes = self._simulated(np.asarray(guess.state, float), guess.period, coefficients, numbers)
+            nodes = self._simulated(guess.start, guess.period, coefficients, numbers)
         return Unknowns(nodes, float(guess.period), np.zeros(parts.unfolding), numbers, self.mesh), coefficients
 
     def _simulated(self, x: np.ndarray, period: float, coefficients: np.ndarray, free: np.ndarray) -> np.ndarray:

@@ -38,7 +38,7 @@ def minimal_problem(problem: Problem) -> Problem:
             "system: families of constrained systems are followed for linkages and mechanisms only; describe this one "
             "as a mechanism, or in minimal coordinates (lagrange)"
         )
-    state = np.asarray(problem.guess.state, float)
+    state = problem.guess.start
     picked, places = _best(native, loops, state, float(problem.guess.period))
     middle = (places[:, picked].max(axis=0) + places[:, picked].min(axis=0)) / 2
     near = places[np.abs(wrapped(places[:, picked] - middle, native.angular[picked])).max(axis=1).argmin()]

@@ -237,7 +237,7 @@ def _start(problem: Problem, free: tuple[str, ...], by: str | None = None) -> St
 
 def _shot(problem: Problem, free: tuple[str, ...]) -> tuple[Equations, Unknowns]:
     equations = Equations.of(problem.model, problem.boundary, free)
-    fraction, state = equations.symmetry.fraction, np.asarray(problem.guess.state, float)
+    fraction, state = equations.symmetry.fraction, problem.guess.start
     place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
     if equations.links:
         place = first_unknowns(equations, problem.guess, 1, rounded(FIRST_STEPS / equations.links.count))

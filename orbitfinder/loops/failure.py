@@ -101,7 +101,7 @@ def degrees_taken_for_radians(problem: Problem) -> str:
     guess, model = problem.guess, problem.model
     if guess.states is not None:
         return ""
-    angles = np.where(model.angular, np.asarray(guess.state, float)[: model.degrees_of_freedom], 0.0)
+    angles = np.where(model.angular, guess.start[: model.degrees_of_freedom], 0.0)
     worst = int(np.abs(angles).argmax())
     if abs(angles[worst]) <= 2 * np.pi:
         return ""
@@ -166,7 +166,7 @@ def _energy_gap(shooting: Shooting) -> str:
         return ""
     own = energy(problem.model, problem.guess.state)
     n = problem.model.degrees_of_freedom
-    state = np.asarray(problem.guess.state, float)
+    state = problem.guess.start
     potential = [energy(problem.model, np.concatenate([q, np.zeros(n)])) for q in (state[:n], np.zeros(n))]
     size = max(abs(own - min(potential)), abs(pinned[0] - min(potential)))
     if abs(own - pinned[0]) < 0.3 * size:

@@ -80,6 +80,11 @@ class Guess(Shown):
         """Times and states, where it has both."""
         return None if self.times is None or self.states is None else (np.asarray(self.times), np.asarray(self.states))
 
+    @property
+    def start(self) -> np.ndarray:
+        """The state as numbers (2n; d of a first-order system)."""
+        return np.asarray(self.state, float)
+
     def __post_init__(self) -> None:
         check("guess.state", "Sequence[float]", self.state)
         check("guess.period", "float", self.period)
@@ -192,7 +197,7 @@ class Problem(Shown):
         if self.model.constraint is not None and self.model.constraint.lift is not None:
             links = self.model.degrees_of_freedom // 3
             if np.size(self.guess.state) == 2 * links:  # angles and rates become those of the redundant coordinates
-                state = maximal_states(self.model, np.asarray(self.guess.state, float))
+                state = maximal_states(self.model, self.guess.start)
                 object.__setattr__(self, "guess", replace(self.guess, state=state))
             if self.winding is not None and len(self.winding) == links:
                 object.__setattr__(self, "winding", tuple(k for turn in self.winding for k in (0, 0, turn)))
@@ -200,8 +205,8 @@ class Problem(Shown):
         if not self.model.smooth:
             _check_hybrid(self)
             if not self.model.cycle:  # it is that of the guess's motion
-                _check_state(self.model, np.asarray(self.guess.state, float))
-                given = np.asarray(self.guess.state, float), self.guess.period, self.guess.trajectory
+                _check_state(self.model, self.guess.start)
+                given = self.guess.start, self.guess.period, self.guess.trajectory
                 object.__setattr__(self, "model", with_cycle(self.model, recognised(self.model, *given)))
         _check(self)
 
@@ -350,7 +355,7 @@ def at_forcing_period(problem: Problem) -> Problem:
 
 def _check(problem: Problem) -> None:
     model, guess = problem.model, problem.guess
-    state = np.asarray(guess.state, float)
+    state = guess.start
     _check_state(model, state)
     _check_relative(problem)
     symmetry = problem.boundary

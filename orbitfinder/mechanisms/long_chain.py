@@ -145,7 +145,7 @@ def balanced(chain: Chain, report: Callable[[str, int, float, float], None]) -> 
 def _from_guess(chain: Chain) -> Series | None:
     """The guess corrected, where its motion passes near q = 0 after a quarter of its period."""
     guess, n = chain.problem.guess, chain.march.size // 2
-    start = np.asarray(guess.state, float)[:n]
+    start = guess.start[:n]
     mesh = chain.mesh(FRACTION, guess.period, PATH_PHASE, SAMPLES // 4)
     try:
         states = chain.march.states(_at_rest(start), mesh, np.array([guess.period]))[:: mesh.size // (SAMPLES // 4)]

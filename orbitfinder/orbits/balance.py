@@ -72,7 +72,7 @@ def begun(problem: Problem, parameter: str, until: float | None = None) -> Point
     Raises `ConvergenceError`.
     """
     model, guess, phase = problem.model, problem.guess, phase_of(problem)
-    n, start = model.degrees_of_freedom, np.asarray(guess.state, float)
+    n, start = model.degrees_of_freedom, guess.start
     if model.forced:
         equations = Residual(model, (*problem.free, parameter), problem.forcing_cycles)
         values, wanted = equations.start, Pin("", equations.start[-1])
@@ -108,7 +108,7 @@ def _trajectories(model: Model, guess: Guess, n: int) -> Iterator[tuple[np.ndarr
         with suppress(*UNSOLVED):
             yield cast(Any, lap(model, guess).trajectory)
     if not model.forced:
-        turn, (place, rate) = np.linspace(0.0, 2 * np.pi, SAMPLES + 1), np.split(np.asarray(guess.state, float), 2)
+        turn, (place, rate) = np.linspace(0.0, 2 * np.pi, SAMPLES + 1), np.split(guess.start, 2)
         swung = np.outer(np.cos(turn), place) + np.outer(np.sin(turn), rate * guess.period / (2 * np.pi))
         yield turn, swung
         return

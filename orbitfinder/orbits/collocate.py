@@ -142,7 +142,7 @@ def _on_meshes(
         return _refined(problem, equations, guess, FINEST, report, alone)
     failed = ConvergenceError("the guess leads nowhere; give a state near the cycle and its period")
     for near in cycles(problem.model, problem.guess, guess, stiffness(equations, guess) > STIFF):
-        own = problem.guess.trajectory is None and np.array_equal(near.state, np.asarray(problem.guess.state, float))
+        own = problem.guess.trajectory is None and np.array_equal(near.state, problem.guess.start)
         try:
             return _refined(problem, equations, near, min(QUICK, FINEST) if own else FINEST, report, alone)
         except ConvergenceError as error:
@@ -154,7 +154,7 @@ def _lap(problem: Problem, equations: Equations) -> Guess:
     """A guess with a trajectory for its period: by explicit steps where they are short enough, else by `lap`."""
     guess, march = problem.guess, _march(equations)
     if guess.trajectory is None:
-        w = equations.unknowns(np.asarray(guess.state, float)[None], guess.period, uniform(1.0, 1, EVEN))
+        w = equations.unknowns(guess.start[None], guess.period, uniform(1.0, 1, EVEN))
         with contextlib.suppress(IntegrationError), np.errstate(all="ignore"):
             states = March.states(march, w.nodes, w.mesh, w.tail)
             units, some = extents_of(problem.model, states, guess.period), np.arange(0, EVEN, 4)
@@ -277,9 +277,10 @@ def _multipliers(model: Model, equations: Equations, w: Unknowns, transitions: n
 
 def stiffness(equations: Equations, guess: Guess) -> float:
     """The fastest decay along a guess's trajectory, times its period."""
-    assert guess.times is not None and guess.states is not None
-    tail = equations.unknowns(np.asarray(guess.states)[:1], guess.period, np.zeros(2)).tail
-    return float(_march(equations).decays(np.asarray(guess.states), tail, np.asarray(guess.times)).max() * guess.period)
+    assert guess.trajectory is not None
+    times, states = guess.trajectory
+    tail = equations.unknowns(states[:1], guess.period, np.zeros(2)).tail
+    return float(_march(equations).decays(states, tail, times).max() * guess.period)
 
 
 def _march(equations: Equations) -> Collocation:

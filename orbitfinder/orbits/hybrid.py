@@ -93,7 +93,7 @@ def _crossed(automaton: Automaton, arcs: Sequence[Arc]) -> str:
 def first_unknowns(equations: Equations, guess: Guess, segments: int, steps: int) -> Unknowns:
     """The unknowns of a guess, `segments` and `steps` of each in every arc."""
     model, parts = with_parameters(equations.model, guess.free), equations.symmetry.parts
-    arcs = cycle_from(model, np.asarray(guess.state, float), ROUGH, PATIENCE * guess.period, parts, guess.trajectory)
+    arcs = cycle_from(model, guess.start, ROUGH, PATIENCE * guess.period, parts, guess.trajectory)
     durations = np.array([arc.duration for arc in arcs])
     period = parts * float(durations.sum())
     along = (Guess(arc.states[0], arc.duration, arc.times - arc.times[0], arc.states) for arc in arcs)
@@ -108,7 +108,7 @@ def first_unknowns(equations: Equations, guess: Guess, segments: int, steps: int
 def carried(equations: Equations, like: Unknowns, guess: Guess) -> Unknowns:
     """The unknowns of a guess whose arcs last as long, in shares of its period, as those of unknowns nearby, or as it
     says; its states are the nodes, where it has as many."""
-    free, steps, x = like.free.copy(), like.steps, np.asarray(guess.state, float)
+    free, steps, x = like.free.copy(), like.steps, guess.start
     for name, value in guess.free.items():
         free[equations.free.index(name)] = value
     w, nodes = replace(like, period=float(guess.period), free=free), []

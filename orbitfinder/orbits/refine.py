@@ -199,7 +199,7 @@ class Refiner(Shown):
         """As many segments as the guess's motion needs."""
         guess, most = self.problem.guess, self.settings.most_segments
         mesh = uniform(self.problem.boundary.fraction, 1, steps)
-        w = self.equations.unknowns(np.asarray(guess.state, float)[None], guess.period, mesh)
+        w = self.equations.unknowns(guess.start[None], guess.period, mesh)
         try:
             matrix, clock = self.equations.varied(w).transitions[0], guess.period / (2 * np.pi)
             units = clocked(self.problem.model, clock, w.nodes[0])
@@ -215,9 +215,9 @@ class Refiner(Shown):
         own = zip(self.problem.free, self.equations.numbers, strict=True)
         known = {**dict(own), **guess.free, **{one.name: one.value for one in pins}}
         free = np.array([known[name] for name in self.problem.free], float)
-        state, steps = np.asarray(guess.state, float), self._steps(segments)
+        state, steps = guess.start, self._steps(segments)
         mesh = self._mesh(segments, steps)
-        if guess.times is not None and guess.states is not None:
+        if guess.trajectory is not None:
             nodes = guessed_nodes(guess, mesh[:-1:steps])
             return self.equations.unknowns(nodes, guess.period, mesh, free)
         w = self.equations.unknowns(state[None], guess.period, mesh, free)
@@ -258,7 +258,7 @@ def _checked(guess: Guess, problem: Problem, free: tuple[str, ...]) -> Guess:
     """The guess, whose values are those of parameters that are free, durations of arcs among them."""
     size = len(problem.model.state_names)
     check_guessed(guess, free)
-    state = np.asarray(guess.state, float)
+    state = guess.start
     if state.shape != (size,) or not np.all(np.isfinite(state)):
         raise InputError(f"guess.state: need {size} finite numbers, got {state.tolist()}")
     if not (np.isfinite(guess.period) and guess.period > 0):

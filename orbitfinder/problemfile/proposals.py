@@ -152,9 +152,9 @@ def _recorded(loaded: ProblemFile, guess: Guess) -> bool:
 
 def motion(loaded: ProblemFile, guess: Guess) -> tuple[np.ndarray, np.ndarray]:
     """Times and states of a guess over its period: as recorded, else simulated."""
-    if guess.times is not None and guess.states is not None:
-        return np.asarray(guess.times), np.asarray(guess.states)
-    states = sample(build_flow(loaded.model), np.asarray(guess.state, float), guess.period, 401)
+    if guess.trajectory is not None:
+        return guess.trajectory
+    states = sample(build_flow(loaded.model), guess.start, guess.period, 401)
     return np.linspace(0.0, guess.period, 401), states
 
 
@@ -168,6 +168,6 @@ def _proposal(
     loaded: ProblemFile, name: str, guess: Guess, miss: float | None, table: Table,
     details: Table,
 ) -> Proposal:  # fmt: skip
-    state = np.asarray(guess.state, float)
+    state = guess.start
     level = energy(loaded.model, state) if loaded.model.conservative else None
     return Proposal(name, float(guess.period), level, miss, tuple(map(float, state)), table, details)

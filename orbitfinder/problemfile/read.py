@@ -234,7 +234,7 @@ def _start(table: ProblemTable, model: Model, problem: Problem | None) -> np.nda
     if state is None and problem is None and table.guess is not None:
         where, state = "guess.state", table.guess.state
     if state is None:
-        return None if problem is None else np.asarray(problem.guess.state, float)
+        return None if problem is None else problem.guess.start
     if len(state) != size:
         raise InputError(
             f"{where}: {plural(len(state), 'number')} for {plural(size // 2, 'coordinate')}; "

@@ -97,7 +97,7 @@ def problem_html(problem: Problem) -> str:
     """What is asked, with the guess as a picture."""
     model, guess = problem.model, problem.guess
     pictures = []
-    state = np.asarray(guess.state, float)
+    state = guess.start
     if model.points is not None and model.constraint is None and state.size == len(model.state_names):
         pose = positions(model, np.stack([state, state]))
         pictures = [moving_mechanism(Scene(pose, strokes=model.strokes, period=guess.period), "the guess")]

@@ -385,7 +385,7 @@ def _of(system: Model | Orbit | Problem, model: Model | None) -> tuple[Model, np
     if isinstance(system, Model):
         return system, None, str(system.system.get("function", system.system.get("kind", "section")))
     if isinstance(system, Problem):
-        return system.model, np.asarray(system.guess.state, float), system.name
+        return system.model, system.guess.start, system.name
     return model or build_model(system.system), system.state, system.name
 
 

@@ -87,7 +87,7 @@ def opened(file: Path | None) -> Opened:
         lambda at: f"{at[1]}{toml(str((file.parent / at[2]).resolve()))}", file_bytes(file).decode("utf-8-sig")
     )
     period = float(problem.guess.period)
-    return Opened(problem.model, np.asarray(problem.guess.state, float), SWINGS * period, loaded.name, (period, text))
+    return Opened(problem.model, problem.guess.start, SWINGS * period, loaded.name, (period, text))
 
 
 def _recorded(file: Path) -> Opened:
@@ -122,7 +122,7 @@ def _hanging(model: Model, name: str, state: np.ndarray | None) -> Opened:
                 raise InputError("system: has loops and says not how it starts; add [simulate] with a state")
             state = loops.state(model)
         problem = minimal_problem(Problem(model, Guess(state, 1.0)))
-        return Opened(problem.model, np.asarray(problem.guess.state, float), DURATION, name)
+        return Opened(problem.model, problem.guess.start, DURATION, name)
     n, size = model.degrees_of_freedom, len(model.state_names)
     if state is None:
         state = np.zeros(size)

@@ -236,8 +236,8 @@ def suits(problem: Problem) -> bool:
         and model.forces is None
         and only_pinned(problem)
         and problem.pin[0].name in ("energy", "period", *model.state_names[:n])
-        and not np.any(np.asarray(problem.guess.state, float)[n:])
-        and bool(np.any(np.asarray(problem.guess.state, float)[:n]))
+        and not np.any(problem.guess.start[n:])
+        and bool(np.any(problem.guess.start[:n]))
     )
 
 
@@ -280,7 +280,7 @@ def along_family(
     On the way the pin has its value at rest plus the fraction (squared for the energy) of the rest of it. The period
     tells nothing near the linear mode, so the guess's largest coordinate takes its place.
     """
-    model, pin, start = problem.model, problem.pin[0], np.asarray(problem.guess.state, float)[: len(shapes)]
+    model, pin, start = problem.model, problem.pin[0], problem.guess.start[: len(shapes)]
     linear = _linear(model, pin, start, squared, shapes)
     followed, rest, power = pin, 0.0, 1
     if pin.name == "period":

@@ -72,13 +72,13 @@ def cycles(model: Model, guess: Guess, own: Guess, stiff: bool) -> Iterator[Gues
         return
     if model.forced:
         laps = LAPS * guess.period
-        yield _between(simulated(model, np.asarray(guess.state, float), laps + guess.period), laps, guess.period)
+        yield _between(simulated(model, guess.start, laps + guess.period), laps, guess.period)
     else:
         yield _settled(model, guess)
 
 
 def _settled(model: Model, guess: Guess) -> Guess:
-    state, units, most, away = np.asarray(guess.state, float), None, np.zeros(len(model.state_names)), np.inf
+    state, units, most, away = guess.start, None, np.zeros(len(model.state_names)), np.inf
     for _ in range(LAPS):
         course = simulated(model, state, (1.0 + 2 * LONGEST) * guess.period, units)
         moved, state = np.ptp(course.states, axis=0), course.states[-1]
@@ -117,7 +117,7 @@ def lap(model: Model, guess: Guess) -> Guess:
     """A guess with a trajectory for its period: its own, or its motion. Raises `IntegrationError`."""
     if guess.trajectory is not None:
         return guess
-    return _between(simulated(model, np.asarray(guess.state, float), guess.period), 0.0, guess.period)
+    return _between(simulated(model, guess.start, guess.period), 0.0, guess.period)
 
 
 def paces(model: Model, times: np.ndarray, states: np.ndarray, units: np.ndarray) -> np.ndarray:
