@@ -252,7 +252,8 @@ def _complete(entry: SiteOrbit, simulator: Simulator, links: Sequence[Card]) -> 
         conserved=simulator.conserves(document["system"], document),
         energies=motion.energies if motion else None,
         neighbour=simulator.neighbour(document, motion) if motion else None,
-        landscape=landscape(simulator.known(document["system"]), framed([packed(motion)])) if motion else None,
+        landscape=landscape(simulator.known(document["system"]), framed([{"motion": packed(motion)}]))
+        if motion else None,
     )  # fmt: skip
 
 

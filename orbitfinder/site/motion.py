@@ -217,9 +217,7 @@ class Simulator:
         angles = np.array(model.angles or (True,) * model.degrees_of_freedom)
         if path is None or not symmetry.closes(path[1], angles) <= GAP:
             return None
-        numbers = [
-            free.get(name, value) for name, value in zip(model.parameter_names, model.parameter_values, strict=True)
-        ]
+        numbers = [free.get(name, value) for name, value in model.named_parameters.items()]
         return _motion(altered(model, parameter_values=np.array(numbers)), *symmetry.whole(*path))
 
 
@@ -428,9 +426,9 @@ def _short(number: float) -> float:
     return float(f"{number:.8g}")
 
 
-def framed(shown: Sequence[Table]) -> dict[str, list[float]] | None:
-    """Centre and spans (down, right, m) of what several packed motions cover together."""
-    if not shown:
+def framed(items: Sequence[Table]) -> dict[str, list[float]] | None:
+    """Centre and spans (down, right, m) of what the packed motions of several items cover together."""
+    if not (shown := [item["motion"] for item in items if item["motion"]]):
         return None
     centres, spans = (np.array([motion[name] for motion in shown]) for name in ("centre", "spans"))
     low, high = (centres - spans / 2).min(axis=0), (centres + spans / 2).max(axis=0)

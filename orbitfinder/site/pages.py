@@ -319,7 +319,7 @@ def family_data(family: Family, simulator: Simulator) -> Entries:
         moved, sizes = response(family, model)
         reach = sizes.tolist()
     items = family_items(family, simulator, reach)
-    frame = framed([item["motion"] for item in items if item["motion"]])
+    frame = framed(items)
     known = simulator.known(family.system) if family.unit else None  # others change the potential
     if moved:
         columns["amplitude"] = reach[: len(family.points)]
@@ -429,7 +429,7 @@ def atlas_data(name: str, entries: Sequence[SiteOrbit], linked: set[str], model:
             "on": [[address, words.partition(" (")[0]] for address, words in entry.near[1:]],
         })  # fmt: skip
     alike = len({entry.mechanism for entry in entries}) == 1
-    frame = framed([item["motion"] for item in items if item["motion"]]) if alike else None
+    frame = framed(items) if alike else None
     return {
         "page": "atlas", "name": name, "items": items, "conserved": all(entry.conserved for entry in entries),
         "units": entries[0].units if alike else SI, "frame": frame,

@@ -62,7 +62,7 @@ def section_data(section: Section, gathered: Gathered) -> Entries:
         surface = named_surface(model, section.plane, section.axes)
         items += _orbits(section, model, gathered)
         curves = [curve for laid in gathered.laid for curve in _laid(laid, section, surface) if _belongs(laid, section)]
-    frame = framed([item["motion"] for item in items if item["motion"]])
+    frame = framed(items)
     axes = [coordinate(name) if model is None else axis(model, model.state_names.index(name), coordinate)
             for name in section.axes]  # fmt: skip
     return {"name": section.name, "axes": axes, "items": items, "curves": curves,

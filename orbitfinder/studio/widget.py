@@ -125,7 +125,7 @@ def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> Entries:
         for item, at in zip(items, pickable(family), strict=True):
             item["place"] = places[at]
         shown |= {"title": f"Family {family.name}", "diagram": diagram(drawn)}
-    frame = framed([item["motion"] for item in items if item["motion"]])
+    frame = framed(items)
     if frame and family and any(motion.drawn == "mechanism" for motion in motions if motion):
         shown["frame"] = frame | {"unit": units(value.system)["length"]}
     return finite(shown)  # type: ignore[no-any-return]
