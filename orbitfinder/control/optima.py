@@ -115,7 +115,7 @@ def _numbers(problem: Problem) -> ChainMap[str, float]:
     asked = {f"task {k}": next(x for x in (task.equals, task.highest, task.lowest) if x is not None)
              for k, task in enumerate(control.tasks, 1)}  # fmt: skip
     limits = {f"limit {name}": high if np.isfinite(high) else low for name, (low, high) in model.limits.items()}
-    physical = dict(zip(model.parameter_names, model.parameter_values, strict=True))
+    physical = model.named_parameters
     for name in {*problem.free, *model.controls} & physical.keys():
         del physical[name]
     return ChainMap({pin.name: pin.value for pin in problem.pin}, dict(control.numbers), asked, limits, physical)

@@ -261,8 +261,7 @@ class _Large:
             multiplier_method=MULTIPLIERS[0 if about.whole else -1], stability=about.stability, krein=(),
             root=about.root, indices=about.indices, symmetry=NONE.name,
             unfolding=(), free=free, shooting_nodes=nodes, mesh=shares, tangent=heading(point),
-            watch=numbers(self.watch, mesh * period, states, dict(zip(model.parameter_names, model.parameter_values,
-                                                                      strict=True))), **where,
+            watch=numbers(self.watch, mesh * period, states, model.named_parameters), **where,
         )  # fmt: skip
 
     def _closes(self, point: Point) -> tuple[bool, float]:

@@ -333,7 +333,7 @@ def diagram(
     drawn(coordinate, model)
     if depth < 0:
         raise InputError(f"depth: must be at least 0, got {depth}")
-    first = dict(zip(model.parameter_names, map(float, model.parameter_values), strict=True)).get(parameter, until)
+    first = model.named_parameters.get(parameter, until)
     empty = BifurcationDiagram(name, model.system, parameter, (first, until), depth, coordinate, (), title=title)
     if out is not None and (earlier := Path(out) / name / "diagram.json").exists():
         _refuse_less(earlier, empty)

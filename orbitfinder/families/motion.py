@@ -120,9 +120,7 @@ def _read(curve: Curve, solution: Solution, how: Callable[..., dict[str, float]]
 
 def parameters_at(curve: Curve, w: Unknowns) -> dict[str, float]:
     """All physical parameters by name."""
-    model = curve.equations.model
-    values = zip(model.parameter_names, map(float, model.parameter_values), strict=True)
-    return dict(values) | dict(zip(curve.equations.free, map(float, w.free), strict=True))
+    return curve.equations.model.named_parameters | dict(zip(curve.equations.free, map(float, w.free), strict=True))
 
 
 def graded(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray]:

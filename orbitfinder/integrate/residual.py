@@ -87,7 +87,7 @@ class Residual:
     @property
     def start(self) -> np.ndarray:
         """The model's own values of what is free."""
-        named = dict(zip(self.model.parameter_names, map(float, self.model.parameter_values), strict=True))
+        named = self.model.named_parameters
         return np.array([named.get(name, 0.0) for name in self.names]) if self.names else np.array([0.0, 1.0])
 
     @cached_property

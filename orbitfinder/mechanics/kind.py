@@ -265,7 +265,7 @@ def check_reachable(model: Model, name: str, goals: Mapping[str, Sequence[float]
     more than its forcing. Descriptions refuse what is not positive: only values across 0 are asked of them, which takes
     a derivation.
     """
-    own = dict(zip(model.parameter_names, model.parameter_values, strict=True)).get(name)
+    own = model.named_parameters.get(name)
     for argument, numbers in goals.items():
         for number in {min(numbers), max(numbers)} if len(numbers) else ():
             if not np.isfinite(number):

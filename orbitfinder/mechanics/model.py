@@ -428,6 +428,11 @@ class Model(Shown):
             raise InputError(f"free: unknown physical parameter {name!r}; this system has {known}")
         return self.parameter_names.index(name)
 
+    @property
+    def named_parameters(self) -> dict[str, float]:
+        """The model's own values of all physical parameters by name."""
+        return dict(zip(self.parameter_names, map(float, self.parameter_values), strict=True))
+
     def values_of(self, names: Sequence[str]) -> np.ndarray:
         """A copy of the values of physical parameters by name."""
         return self.parameter_values[[self.parameter_index(name) for name in names]]

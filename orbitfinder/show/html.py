@@ -79,8 +79,7 @@ def plain_html(value: Shown, rows: Sequence[tuple[str, str]] = (), pictures: Seq
 def model_html(model: Model) -> str:
     """What a Model describes: its coordinates and parameters by name and unit, and what is conserved."""
     names = [axis(model, k, greek) for k in range(len(unit_names(model)))]
-    numbered = zip(model.parameter_names, model.parameter_values, strict=True)
-    parameters = [f"{name} = {value:.9g}" for name, value in numbered]
+    parameters = [f"{name} = {value:.9g}" for name, value in model.named_parameters.items()]
     kept = ", ".join(invariant.name for invariant in model.invariants) or "nothing"
     rows = [
         ("coordinates" if model.rates is None else "states", ", ".join(names[:MOST])),

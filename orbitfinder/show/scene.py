@@ -217,7 +217,7 @@ BODIES = {0.01215: (("Earth", 0.0166), ("Moon", 0.0045)), 9.537e-4: (("Sun", 0.0
 
 def landmarks(model: Model) -> list[tuple[str, tuple[float, ...], float]]:
     """What a system marks: names as the sky has them where they are known, coordinates (n), radii (0 of no body)."""
-    lighter = dict(zip(model.parameter_names, model.parameter_values, strict=True)).get("ratio", 0.0)
+    lighter = model.named_parameters.get("ratio", 0.0)
     known = next((called for share, called in BODIES.items() if abs(lighter - share) < 0.02 * share), ())
     called = dict(zip(("primary", "secondary"), known, strict=False))
     told = ((called.get(name, (name, 0.0)), place) for name, place in model.landmarks.items())

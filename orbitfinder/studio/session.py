@@ -408,7 +408,7 @@ def leaving(family: Family) -> dict[int, str]:
 def parameters(model: Model) -> Mapping[str, tuple[float, float, float]]:
     """Of each physical parameter: its value, and how far a slider goes down and up."""
     ranges = {}
-    for name, value in zip(model.parameter_names, map(float, model.parameter_values), strict=True):
+    for name, value in model.named_parameters.items():
         low, high = model.limits.get(name, (0.5 * value, 1.5 * value) if value else (-1.0, 1.0))
         ranges[name] = value, min(low, high), max(low, high)
     return ranges
