@@ -22,7 +22,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
+from orbitfinder.errors import InputError, plural
 from orbitfinder.loops.symmetry import named
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
@@ -67,10 +67,12 @@ from orbitfinder.proof.record import (
     enclosure,
     holds,
     in_digits,
+    timed,
 )
 from orbitfinder.proof.series import recurrence
 from orbitfinder.proof.theorem import (
     CENTRE,
+    UNPROVED,
     NotProved,
     Options,
     Progress,
@@ -80,6 +82,7 @@ from orbitfinder.proof.theorem import (
     enclosed,
     frequency,
     provable_model,
+    silent,
 )
 from orbitfinder.proof.trajectory import horizon, minimal_period, positive_mass
 from orbitfinder.records.codec import Codec, plain
@@ -568,7 +571,7 @@ def prove_event(
     progress: Progress | None = None,
 ) -> BorderedRecord:  # fmt: skip
     """The proof of an event of a family (counted from 0), or the reason why there is none. Raises `InputError`."""
-    began, say = time.perf_counter(), progress or (lambda line: None)
+    began, say = time.perf_counter(), progress or silent
     options = options or Options(order=24, tolerance=1e-19)  # an event is asked for to many digits
     if not 0 <= number < len(family.events):
         raise InputError(f"--event: the family has {plural(len(family.events), 'event')}, counted from 0, got {number}")
@@ -581,9 +584,7 @@ def prove_event(
     point = family.points[event.index]
     model = with_parameters(model or provable_model(point), event.free)
     if not model.smooth:
-        return replace(
-            _prove_doubling(family, event, model, options, say), wall_time=round(time.perf_counter() - began, 1)
-        )
+        return timed(_prove_doubling(family, event, model, options, say), began)
     codes = programs(model)
     with precision(options.bits):
         orbit = replace(point, state=event.state, period=event.period)
@@ -608,9 +609,9 @@ def prove_event(
             if {proof.kind: apart <= options.nearness} != {event.kind: True}:
                 near_by = f"a {proof.kind} is {apart:.3g} away from it"
                 raise NotProved(f"no such event within {options.nearness:g} of the record; {near_by}")
-        except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
+        except UNPROVED as error:
             proof = replace(about, reason=why_not(error))
-    return replace(proof, wall_time=round(time.perf_counter() - began, 1))
+    return timed(proof, began)
 
 
 def _prove_doubling(family: Family, event: Event, model: Model, options: Options, say: Progress) -> BorderedRecord:
@@ -629,7 +630,7 @@ def _prove_doubling(family: Family, event: Event, model: Model, options: Options
             apart = abs(float(proof.value["value"]) - event.parameter)
             if not apart <= options.nearness:
                 raise NotProved(f"no such event within {options.nearness:g} of the record; it is {apart:.3g} away")
-        except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
+        except UNPROVED as error:
             return replace(about, reason=why_not(error))
     return proof
 
@@ -649,7 +650,7 @@ def replayed_event(
 ) -> BorderedRecord:  # fmt: skip
     """A recorded proof done again from its centre, balls without a margin. Raises `InputError`."""
     with precision(record.bits):
-        model, say = model or build_model(dict(record.system)), progress or (lambda line: None)
+        model, say = model or build_model(dict(record.system)), progress or silent
         proof = _EventProof if model.smooth else _GaitEventProof
         return done_again(record, lambda: proof(record, model, say).concluded(1.0, 2 * DIGITS))
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import InputError
 from orbitfinder.families.passages import index_levels
 from orbitfinder.loops.symmetry import named
 from orbitfinder.mechanics.kind import build_model
@@ -60,6 +60,7 @@ from orbitfinder.proof.krawczyk import (
 from orbitfinder.proof.record import DIGITS, MARGIN, bounding
 from orbitfinder.proof.theorem import (
     CENTRE,
+    UNPROVED,
     NotProved,
     Progress,
     check_graph,
@@ -68,6 +69,7 @@ from orbitfinder.proof.theorem import (
     enclosed,
     make_equations,
     provable_model,
+    silent,
     unknowns_at,
 )
 from orbitfinder.proof.trajectory import Trajectory, horizon, minimal_period, trajectory
@@ -357,7 +359,7 @@ class _BranchProof:
                 shown = self.fitted(guess(joined, near, here, following), here, following)
                 if shown.proved:
                     self.join(joined, shown)
-            except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
+            except UNPROVED as error:
                 shown, why = None, why_not(error)
             length = (following - here) * self.scaled(shown)
             if shown is not None and shown.proved:
@@ -406,7 +408,7 @@ def prove_branch(
     symmetry: str | None = None,
 ) -> ProvedBranch:  # fmt: skip
     """The proof of a family's part between two energies (J), with its events there. Raises `InputError`."""
-    say = progress or (lambda line: None)
+    say = progress or silent
     with precision(ROUGH.bits):
         model = model or provable_model(family.points[0])
         codes = programs(model)
@@ -445,7 +447,7 @@ def replayed(branch: ProvedBranch, model: Model | None = None, progress: Progres
         codes = programs(model)
         sections = [branch.section] if branch.section else []
         equations = TheoremEquations(make_field(model, codes), branch.formulation, None, sections)
-        run = _BranchProof(model, equations, progress or (lambda line: None))
+        run = _BranchProof(model, equations, progress or silent)
         asked = [(event.kind, event.level) for event in branch.passages]
         ends = [branch.pieces[0].low, branch.pieces[-1].high] if branch.pieces else []
         if ends != [branch.low, branch.high]:
@@ -497,7 +499,7 @@ def _concluded(
             with precision(SHARP.bits):
                 each = (passage(kind, level, ends, *written) for kind, level in asked)
                 passed = [event for event in each if event is not None]
-    except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
+    except UNPROVED as error:
         return replace(about, proved=False, reason=why_not(error), wall_time=spent())
     kept = tuple(replace(shown.piece, contraction=shown.contraction) for shown in joined)
     return replace(about, proved=True, reason="", pieces=kept, passages=tuple(passed), wall_time=spent())

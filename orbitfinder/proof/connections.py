@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
+from orbitfinder.errors import InputError, plural
 from orbitfinder.integrate.dop853 import SECOND
 from orbitfinder.integrate.dop853 import integrate as integrated
 from orbitfinder.integrate.equations import accelerations
@@ -74,9 +74,11 @@ from orbitfinder.proof.record import (
     enclosure,
     holds,
     in_digits,
+    timed,
 )
 from orbitfinder.proof.theorem import (
     CENTRE,
+    UNPROVED,
     NotProved,
     Options,
     Progress,
@@ -84,6 +86,7 @@ from orbitfinder.proof.theorem import (
     check_motion,
     enclosed,
     provable_system,
+    silent,
 )
 from orbitfinder.proof.trajectory import (
     Trajectory,
@@ -747,14 +750,14 @@ def prove_connection(
         order=options.order, bits=options.bits, tolerance=options.tolerance,
     )  # fmt: skip
     with precision(options.bits):
-        run = _ConnectionProof(about, model or provable_system(connection.system), progress or (lambda line: None))
+        run = _ConnectionProof(about, model or provable_system(connection.system), progress or silent)
         try:
             run.solved(connection)
             proof = run.concluded()
             run.check_recorded(connection, proof)
-        except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
+        except UNPROVED as error:
             proof = replace(run.about, reason=why_not(error))
-    return replace(proof, wall_time=round(time.perf_counter() - began, 1))
+    return timed(proof, began)
 
 
 def read_connection_proof(path: Path) -> ConnectionRecord:
@@ -789,7 +792,7 @@ def replayed_connection(
 ) -> ConnectionRecord:
     """A recorded proof done again from its centres, balls without a margin. Raises `InputError`."""
     with precision(record.bits):
-        run = _ConnectionProof(record, model or provable_system(record.system), progress or (lambda line: None))
+        run = _ConnectionProof(record, model or provable_system(record.system), progress or silent)
         run.check_sizes()
         return done_again(record, lambda: run.concluded(1.0, 2 * DIGITS))
 

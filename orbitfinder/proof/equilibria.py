@@ -54,9 +54,9 @@ from orbitfinder.proof.balls import (
 from orbitfinder.proof.field import NUMERICAL, sloped
 from orbitfinder.proof.krawczyk import approximate_inverse, contracted
 from orbitfinder.proof.program import Ring, ScalarProgram, derived
-from orbitfinder.proof.record import DIGITS, MARGIN, at_least, bounding, enclosure, holds, holds_each
+from orbitfinder.proof.record import DIGITS, MARGIN, at_least, bounding, enclosure, holds, holds_each, timed
 from orbitfinder.proof.series import BALLS
-from orbitfinder.proof.theorem import NotProved, Options, Progress, provable_system
+from orbitfinder.proof.theorem import NotProved, Options, Progress, provable_system, silent
 from orbitfinder.proof.trajectory import positive_definite
 from orbitfinder.records.codec import Codec
 from orbitfinder.records.reading import Entries, Table
@@ -480,7 +480,7 @@ def _concluded(
     about: ProvedEquilibria, model: Model, stated: Sequence[_Claim], progress: Progress | None, *written: Any
 ) -> ProvedEquilibria:
     """What can be proved of each, its balls `written` with a margin and so many digits."""
-    began, say, parts = time.perf_counter(), progress or (lambda line: None), list[ProvedRest]()
+    began, say, parts = time.perf_counter(), progress or silent, list[ProvedRest]()
     with precision(BITS):
         rest = _Rest(model, about.parameter)
         for what in stated:
@@ -492,7 +492,7 @@ def _concluded(
             parts.append(part)
             if part.event or not part.proved:
                 say(f"{part.place}: {'proved' if part.proved else f'not proved: {part.reason}'}")
-    return replace(about, parts=tuple(parts), wall_time=round(time.perf_counter() - began, 1))
+    return timed(replace(about, parts=tuple(parts)), began)
 
 
 def _part(rest: _Rest, what: _Claim, margin: float, digits: int) -> ProvedRest:

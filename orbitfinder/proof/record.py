@@ -203,7 +203,12 @@ def done_again(record: Record, concluded: Callable[[], Record]) -> Record:
         fresh = concluded()
     except (NotProved, IntegrationError, ZeroDivisionError) as error:
         fresh = replace(record, proved=False, reason=why_not(error))  # type: ignore[type-var]
-    return replace(fresh, wall_time=round(time.perf_counter() - began, 1))  # type: ignore[type-var]
+    return timed(fresh, began)
+
+
+def timed(record: Record, began: float) -> Record:
+    """The record with how long it took since then (s)."""
+    return replace(record, wall_time=round(time.perf_counter() - began, 1))  # type: ignore[type-var]
 
 
 def close(recorded: Any, fresh: float, factor: float = 2.0) -> bool:

@@ -96,6 +96,14 @@ class NotProved(Exception):
     """A hypothesis of the theorem that could not be checked; its message is the reason."""
 
 
+UNPROVED = NotProved, IntegrationError, ConvergenceError, ZeroDivisionError
+"""What ends an attempt at a proof"""
+
+
+def silent(line: str) -> None:
+    """Progress that nobody asked for."""
+
+
 @dataclass(frozen=True)
 class Options(TaylorSettings):
     """What to prove and how: the integrator's settings, the symmetry to use (that of the record if None), segments.
@@ -147,7 +155,7 @@ def proved_until(
     enough: Callable[[Proof], bool], orbit: Orbit, model: Model | None, options: Options, progress: Progress | None
 ) -> Proof:
     """The proof, its enclosures made smaller until they are `enough`, `SHARPENINGS` times at most."""
-    began, say = time.perf_counter(), progress or (lambda line: None)
+    began, say = time.perf_counter(), progress or silent
     model = model or provable_model(orbit)
     if not model.smooth:
         if options.symmetry not in (None, "none"):
@@ -168,7 +176,7 @@ def _until_proved(proved: Callable[[], Proof], symmetry: str, options: Options, 
     with precision(options.bits):
         try:
             proof = proved()
-        except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
+        except UNPROVED as error:
             proof = Proof(False, why_not(error), symmetry, options, 0.0)
         return replace(proof, wall_time=time.perf_counter() - began)
 
@@ -474,7 +482,7 @@ def refine(
     symmetry: str | None = None, enclose: bool = True, progress: Progress | None = None,
 ) -> RefinedOrbit:  # fmt: skip
     """An orbit refined at its recorded energy, read as the decimal that it is written as."""
-    began, say = time.perf_counter(), progress or (lambda line: None)
+    began, say = time.perf_counter(), progress or silent
     with precision(settings.bits):
         model = model or provable_model(orbit)
         codes = programs(model, True)
