@@ -11,7 +11,7 @@ import orbitfinder as of
 from orbitfinder.cli.console import display, time_left
 from orbitfinder.cli.equilibria import side
 from orbitfinder.cli.jobs import folder_of
-from orbitfinder.cli.options import FILES, FINITE, finish, next_step, option, text, trusted, usual
+from orbitfinder.cli.options import FILES, FINITE, finish, next_step, option, text, trusted, usual, workers_option
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.registry import answer
 
@@ -29,8 +29,7 @@ from orbitfinder.records.registry import answer
 @option("method", "Of cycles.  [default: shooting, and collocation where that cannot carry a curve on]",
         kind=("shooting", "collocation"))  # fmt: skip
 @option("name", "Name of the diagram; the file's when left out.")
-@option("workers", "Processes side by side.", 1, (1, 256))
-@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@workers_option()
 @usual("Folder for DIR/<name>/diagram.json.", "diagrams", figures="Draw it.")
 def diagram(
     file: Path, parameter: str, first: float | None, until: float, name: str | None, out: Path, figures: bool,

@@ -12,7 +12,7 @@ import orbitfinder as of
 from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.console import counted
 from orbitfinder.cli.jobs import folder_of
-from orbitfinder.cli.options import FILES, finish, next_step, option, text, trusted, usual
+from orbitfinder.cli.options import FILES, finish, next_step, option, text, trusted, usual, workers_option
 from orbitfinder.cli.section import DIRECTIONS
 from orbitfinder.cli.sweep import parameter, shard_option, sharded
 from orbitfinder.errors import InputError
@@ -26,8 +26,7 @@ from orbitfinder.records.registry import answer
 @option("by", "What is coloured.", "stability", ("stability", "multiplier", "amplitude", "period"))
 @option("sample", "How many orbits are certified.", 40, (0, 1_000_000))
 @option("seed", "Chooses which.", 0, (0, 2**63 - 1))
-@option("workers", "Processes side by side.", 2, (1, 256))
-@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@workers_option(2)
 @shard_option("Fill the K-th of N runs of rows only")
 @usual("Folder for DIR/<name>/map.json.", "maps", figures="Draw it.", compiled=True)
 def map_(
@@ -90,8 +89,7 @@ def map_(
 @option("seed", "Draws the other starts.", 0, (0, 2**63 - 1))
 @option("with families", "A family of the same system and parameter, drawn through the samples.", multiple=True,
         kind=FILES, metavar="FAMILY.json")  # fmt: skip
-@option("workers", "Processes side by side.", 1, (1, 256))
-@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@workers_option()
 @shard_option("Visit the K-th of N runs of values only")
 @usual("Folder for DIR/<name>/bifurcation.json.", "bifurcations", figures="Draw it.", compiled=True)
 def bifurcation(

@@ -228,6 +228,13 @@ def option(name: str, what: str, default: Any = None, kind: Any = None, **more: 
     return click.option(*names, help=what, **more)
 
 
+def workers_option(count: int = 1, what: str = "Processes side by side.", least: int = 1) -> Decorator:
+    """The options --workers, so many by default, and --scheduler."""
+    address = "Dask scheduler, such as tcp://head:8786, instead of processes."
+    after = option("scheduler", address, metavar="ADDRESS")
+    return lambda command: option("workers", what, count, (least, 256))(after(command))
+
+
 def usual(
     out: str = "", into: Any = None, *, figures: str = "", compiled: bool = False, trust: str = TRUST, json: bool = True
 ) -> Decorator:

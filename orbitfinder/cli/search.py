@@ -13,7 +13,7 @@ import click
 import orbitfinder as of
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.console import SPEAK_EVERY, Report, display
-from orbitfinder.cli.options import FILES, finish, next_step, option, text, trusted, usual
+from orbitfinder.cli.options import FILES, finish, next_step, option, text, trusted, usual, workers_option
 from orbitfinder.cli.sweep import parameter
 from orbitfinder.errors import InputError, plural
 
@@ -49,8 +49,7 @@ def _budget(_: click.Context, __: click.Parameter, text: str | None) -> float | 
 @option("budget", "Stop after this time, such as 60s, 10m; default 60s.", callback=_budget, metavar="TIME")
 @option("starts", "Stop when this many starts have been made in all.", kind=(0,))
 @option("seed", "Chooses the starts.", 0, (0, 2**63 - 1))
-@option("workers", "Processes; 0: no other.", 2, (0, 256))
-@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@workers_option(2, "Processes; 0: no other.", 0)
 @option(
     "parameter given",
     "A physical parameter and its values, or NAME=V,V,...; of several every combination is searched.",

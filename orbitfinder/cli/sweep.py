@@ -13,7 +13,7 @@ from orbitfinder._runtime.keeping import kept
 from orbitfinder._runtime.limit import limited
 from orbitfinder.cli.console import display, time_left
 from orbitfinder.cli.jobs import folder_of
-from orbitfinder.cli.options import FILES, Decorator, finish, option, text, trusted, usual
+from orbitfinder.cli.options import FILES, Decorator, finish, option, text, trusted, usual, workers_option
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import Table
 
@@ -48,8 +48,7 @@ def sharded(
     "A physical parameter, or what the problem pins, and its values; or NAME=V,V,...; several change together.",
     multiple=True, required=True, metavar="NAME=FROM:TO:COUNT",
 )  # fmt: skip
-@option("workers", "Processes side by side.", 1, (1, 256))
-@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@workers_option()
 @shard_option("Visit the K-th of N runs of values only")
 @option("orbits/--no-orbits", "Write each orbit too, DIR/<name>/K/.", True)
 @usual("Folder for DIR/<name>/sweep.csv, sweep.json and orbits.", "sweeps", compiled=True)

@@ -29,6 +29,7 @@ from orbitfinder.cli.options import (
     text,
     trusted,
     usual,
+    workers_option,
 )
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.certificate import Certificate, Check, certificate_to_document
@@ -166,8 +167,7 @@ def symmetry_option(what: str) -> Decorator:
 @option("from low", "Of a FAMILY.json: prove it from this energy (J) ...", kind=FINITE)
 @option("to high", "... to this one, and its events in between.", kind=FINITE)
 @option("event number", "Of a FAMILY.json: prove this fold, doubling or branch point, counted from 0.", kind=int)
-@option("workers", "Processes side by side.", 1, (1, 256))
-@option("scheduler", "Dask scheduler, such as tcp://head:8786, instead of processes.", metavar="ADDRESS")
+@workers_option()
 @option("shard", "Prove every N-th only, from the K-th; auto: by the Slurm array that runs it.", metavar="K/N")
 @usual(trust=SYSTEM_TRUST)
 def prove(
