@@ -22,6 +22,7 @@ from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.lanes.stages import Staging, staging
 from orbitfinder.integrate.march import Gridded, Varied
+from orbitfinder.mechanics.model import symbol_of
 
 POINTS, REMEMBERED = 5, 8
 """Collocation points in a step; motions whose stages are kept, to begin with those of the nearest on a mesh"""
@@ -153,7 +154,7 @@ class Collocation(Gridded):
     @cached_property
     def _symbolic(self) -> ca.Function:
         """f, its derivatives by x, (t, s, free), and the integrand, in a column, as a function of (t, x, s, free)."""
-        f, symbol = self.field, ca.SX.sym if self.field.is_a("SXFunction") else ca.MX.sym
+        f, symbol = self.field, symbol_of(self.field)
         inputs = [symbol(name, f.size1_in(k)) for k, name in enumerate(("t", "x", "s", "free"))]
         rate = f(*inputs)
         others = ca.vertcat(*[inputs[k] for k in ((0, 2, 3) if self.forced else (2, 3))])

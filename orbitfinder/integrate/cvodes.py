@@ -32,7 +32,7 @@ from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.compiled import interpreted_seconds, mode, with_derivatives
 from orbitfinder.integrate.rk8 import variational_field
-from orbitfinder.mechanics.model import Invariant, Model, check_state, vector_field
+from orbitfinder.mechanics.model import Invariant, Model, check_state, symbol_of, vector_field
 
 EVALUATIONS = 20_000
 """About how often one search for an orbit evaluates the variational equations."""
@@ -112,7 +112,7 @@ class Flow:
         """The state at the end, with CasADi's own derivatives."""
         field, sizes = _in_units(self.field, self.units), ca.DM(self.units) if self.units else 1.0
         given = [inputs[0], inputs[1] / sizes, *inputs[2:]]
-        return sizes * _solved("state", field, _symbol(field), self.settings.options(), given)
+        return sizes * _solved("state", field, symbol_of(field), self.settings.options(), given)
 
     def inputs(self) -> tuple[list[str], list[ca.MX]]:
         """Names and symbols of what its functions are given."""
@@ -161,11 +161,6 @@ def remembered(
 _small, _large = Kept["Flow"](2), Kept["Flow"](1)
 
 
-def _symbol(field: ca.Function) -> Any:
-    """What symbols a field is stated in."""
-    return ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
-
-
 def _solved(
     name: str, field: ca.Function, symbol: Any, options: dict[str, Any], inputs: Sequence[Any], grid: Any = 1
 ) -> Any:
@@ -185,7 +180,7 @@ def _in_units(field: ca.Function, units: tuple[float, ...]) -> ca.Function:
     """The field of x / units."""
     if not units:
         return field
-    t, y, s, free = (_symbol(field)(f"a{k}", field.size1_in(k)) for k in range(4))
+    t, y, s, free = _arguments(field)
     sizes = ca.DM(units)
     return ca.Function("field", [t, y, s, free], [field(t, sizes * y, s, free) / sizes])
 
@@ -263,7 +258,7 @@ def sample(flow: Flow, state: np.ndarray, duration: float, count: int, start: fl
         np.linspace(0.0, 1.0, count),
     )
     with sundials(state, start, duration):
-        return np.asarray(_solved("samples", flow.field, _symbol(flow.field), options, given, list(grid)).full().T)
+        return np.asarray(_solved("samples", flow.field, symbol_of(flow.field), options, given, list(grid)).full().T)
 
 
 @contextlib.contextmanager
@@ -333,7 +328,7 @@ def transition_function(flow: Flow) -> ca.Function:
 
 
 def _arguments(field: ca.Function) -> list[Any]:
-    return [_symbol(field)(f"a{k}", field.size1_in(k)) for k in range(4)]
+    return [symbol_of(field)(f"a{k}", field.size1_in(k)) for k in range(4)]
 
 
 def _second_rates(field: ca.Function, count: int) -> ca.Function:
@@ -370,4 +365,4 @@ def _second_integrated(flow: Flow, inputs: list[ca.MX], count: int) -> tuple[ca.
     unit = ca.vec(ca.horzcat(ca.MX.eye(size), ca.MX.zeros(size, count - size)))
     start = ca.vertcat(inputs[1], ca.densify(unit), ca.MX.zeros(size**2 * count))
     given = [inputs[0], start, *inputs[2:]]
-    return _parts(_solved("second_order", rates, _symbol(rates), flow.settings.options(), given), size, count)
+    return _parts(_solved("second_order", rates, symbol_of(rates), flow.settings.options(), given), size, count)

@@ -21,6 +21,7 @@ from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.lanes.kernel import WIDE, Kernel, kernel, varied_kernel
 from orbitfinder.integrate.parallel import STAGES, Lanes
 from orbitfinder.integrate.rk8 import slopes_of, step_of, variational_field
+from orbitfinder.mechanics.model import inputs_of
 
 EFFORT = 3.0
 """Seconds of interpreted marching in a family of moderate length, for `compiled`."""
@@ -102,7 +103,7 @@ class March:
         """The field of a state, and where variations are dear of S beside it."""
         if self.integrand is None or not self.wide:
             return self.field
-        inputs = self.field.sx_in() if self.field.is_a("SXFunction") else self.field.mx_in()
+        inputs = inputs_of(self.field)
         added = type(inputs[1]).sym("S", self.integrand.numel_out(0))
         given = [inputs[0], ca.vertcat(inputs[1], added), *inputs[2:]]
         return ca.Function("carried", given, [ca.vertcat(self.field(*inputs), self.integrand(*inputs))])

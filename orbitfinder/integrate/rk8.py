@@ -19,12 +19,13 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.sizes import LEAST
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled, interpreted_seconds
+from orbitfinder.mechanics.model import symbol_of
 
 
 @lru_cache(maxsize=16)
 def marcher(field: ca.Function, steps: int) -> ca.Function:
     """`march((t, x), (h, s, free))` -> (t, x) after 1..steps steps, of a field f(t, x, s, free)."""
-    return one_step(field, ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym).mapaccum("march", steps)
+    return one_step(field, symbol_of(field)).mapaccum("march", steps)
 
 
 @lru_cache(maxsize=16)
@@ -143,7 +144,7 @@ def refining(steps: int, agreed: Callable[[T, T], bool]) -> Generator[int, T | I
 @lru_cache(maxsize=16)
 def slopes_of(field: ca.Function, quadrature: ca.Function | None = None) -> ca.Function:
     """f, df/dx, [df/ds | df/dfree] and `quadrature`, where there is one, as a function of (t, x, s, free)."""
-    symbol: Any = ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
+    symbol: Any = symbol_of(field)
     inputs = [symbol(name, field.size1_in(k)) for k, name in enumerate(("t", "x", "s", "free"))]
     x, s, free = inputs[1:]
     rate = field(*inputs)

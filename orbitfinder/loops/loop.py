@@ -34,7 +34,7 @@ from orbitfinder.integrate.march import Gridded, March, Marches, Varied
 from orbitfinder.loops.condensed import Inner, Linearised
 from orbitfinder.loops.symmetry import Symmetry, moved, symplectic
 from orbitfinder.mechanics.hybrid import Transition, freed, share
-from orbitfinder.mechanics.model import Model, field_apart, vector_field
+from orbitfinder.mechanics.model import Model, field_apart, inputs_of, vector_field
 from orbitfinder.records.orbit import SHARE
 
 _marches = Kept[March](16)
@@ -205,7 +205,7 @@ class Equations:
 
     def _paced(self, function: ca.Function, arc: int) -> ca.Function:
         """A rate in arc k of K in the period, of which a period of the mesh lasts K shares of the period."""
-        inputs = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+        inputs = inputs_of(function)
         parts = self.symmetry.parts
         pace = parts * self.links.count * share(self.model, arc, self.model.parameters(self.free, inputs[3]), parts)
         return ca.Function(function.name(), inputs, [pace * function(*inputs)])
@@ -606,7 +606,7 @@ def beyond(rows: np.ndarray, lost: np.ndarray) -> np.ndarray:
 
 def _action_rate(model: Model, flow: ca.Function, free: tuple[str, ...]) -> ca.Function:
     """dS/dt as a function of (t, x, s, free)."""
-    inputs = flow.sx_in() if flow.is_a("SXFunction") else flow.mx_in()
+    inputs = inputs_of(flow)
     rate = model.action_rate(inputs[0], inputs[1], model.parameters(free, inputs[3]))
     return ca.Function("action_rate", inputs, [rate])
 

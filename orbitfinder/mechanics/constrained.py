@@ -38,7 +38,7 @@ from orbitfinder.mechanics.lagrange import (
     pictured,
     strangers,
 )
-from orbitfinder.mechanics.model import Baumgarte, HolonomicConstraint, Invariant, Model, constraint_of
+from orbitfinder.mechanics.model import Baumgarte, HolonomicConstraint, Invariant, Model, constraint_of, inputs_of
 from orbitfinder.records.reading import Table
 
 RANK_TOLERANCE = 1e-8
@@ -166,7 +166,7 @@ def constrained_model(
         invariants = [energy_invariant(terms.kinetic, terms.potential, q, v, p)] if conservative else []
     drift = 2 * baumgarte.alpha * ca.jtimes(phi, q, v) + baumgarte.beta**2 * phi
     algebraic = eliminated(replace(balances, right=balances.right - drift), arguments, _invertible(balances, symbols))
-    inputs = algebraic.sx_in() if algebraic.is_a("SXFunction") else algebraic.mx_in()
+    inputs = inputs_of(algebraic)
     equations = balances.mass @ a + balances.bias - balances.force @ force
     constraint = HolonomicConstraint(
         phi=ca.Function("constraint", [q, p], [phi]),

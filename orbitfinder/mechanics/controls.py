@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError, closest
-from orbitfinder.mechanics.model import Model, altered
+from orbitfinder.mechanics.model import Model, altered, inputs_of
 
 TORQUE = "torque"
 """Name of a motor's torque (N m), followed by the number of its joint"""
@@ -102,7 +102,7 @@ def actuated(model: Model) -> Model:
         return model
     forces, drive = model.forces, model.actuation
     if drive is not None and forces is not None:
-        inputs = drive.sx_in() if drive.is_a("SXFunction") else drive.mx_in()
+        inputs = inputs_of(drive)
         drive = ca.Function("forces", inputs, [forces(*inputs) + drive(*inputs)])
     kept = tuple(invariant for invariant, broken in zip(model.invariants, _broken(model), strict=True) if not broken)
     if drive is None and len(kept) == len(model.invariants) and not model.hamiltonian:

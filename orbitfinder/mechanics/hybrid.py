@@ -22,7 +22,7 @@ from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.controls import Limits, with_controls
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.first_order import Named, in_symbols
-from orbitfinder.mechanics.model import PART_OF, Model, altered
+from orbitfinder.mechanics.model import PART_OF, Model, altered, inputs_of
 from orbitfinder.records.orbit import SHARE
 from orbitfinder.records.reading import Table
 
@@ -407,7 +407,7 @@ def widened(model: Model, count: int, kept: int) -> Model:
     def wide(function: ca.Function | None) -> ca.Function | None:
         if function is None:
             return None
-        symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+        symbols = inputs_of(function)
         more = type(symbols[0]).sym("p", count)
         return ca.Function(function.name(), [*symbols[:-1], more], function.call([*symbols[:-1], more[:kept]]))
 

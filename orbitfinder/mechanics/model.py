@@ -361,7 +361,7 @@ class Model(Shown):
     @property
     def symbol(self) -> Any:
         """What makes symbols for its equations: `SX.sym` of scalars, else `MX.sym`."""
-        return ca.SX.sym if self.scalar else ca.MX.sym
+        return symbol_of(self.rates or self.acceleration)
 
     def rate(self, t: Any, x: Any, p: Any) -> Any:
         """x' (d) at a time and a state (d)."""
@@ -451,6 +451,16 @@ def finite_number(where: str, value: Any) -> float:
     if not known or not np.isfinite(value):
         raise InputError(f"{where}: must be a finite number, got {value!r}; check the value")
     return float(value)
+
+
+def symbol_of(function: ca.Function) -> Any:
+    """What makes symbols of the kind that a function is stated in: `SX.sym` or `MX.sym`."""
+    return ca.SX.sym if function.is_a("SXFunction") else ca.MX.sym
+
+
+def inputs_of(function: ca.Function) -> list[Any]:
+    """New symbols for what a function is given, of the kind that it is stated in."""
+    return function.sx_in() if function.is_a("SXFunction") else function.mx_in()  # type: ignore[no-any-return]
 
 
 def altered(model: Model, **changes: Any) -> Model:

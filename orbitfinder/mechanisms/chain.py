@@ -19,7 +19,7 @@ from orbitfinder.mechanics.constrained import constrained_model
 from orbitfinder.mechanics.controls import TORQUE, Limits, checked_limits, checked_motors, joint_torques
 from orbitfinder.mechanics.factorise import LinearBalances, acceleration_function
 from orbitfinder.mechanics.lagrange import Symbols, Terms, energy_invariant, mass_matrix_and_bias, mechanical_model
-from orbitfinder.mechanics.model import Baumgarte, Invariant, Model, constraint_of
+from orbitfinder.mechanics.model import Baumgarte, Invariant, Model, constraint_of, symbol_of
 from orbitfinder.records.reading import Entries
 
 Numbers = float | Sequence[float] | np.ndarray
@@ -306,7 +306,7 @@ def dae_chain(symbols: ChainSymbols) -> ca.Function:
     model, count = maximal_chain(symbols, {}, Baumgarte()), len(symbols.links)
     constraint, n = constraint_of(model), model.degrees_of_freedom
     assert constraint.lift is not None
-    symbol: Any = ca.SX.sym if constraint.algebraic.is_a("SXFunction") else ca.MX.sym
+    symbol: Any = symbol_of(constraint.algebraic)
     t, q, v, p = symbol("t"), symbol("q", count), symbol("v", count), symbol("p", model.parameter_values.size)
     state = constraint.lift(q, v, p)
     return ca.Function("acceleration", [t, q, v, p], [constraint.algebraic(t, state[:n], state[n:], p)[2:n:3]])
