@@ -182,8 +182,8 @@ class _Controlled:
             self.parts = arranged(model, boundary, tuple(entry["free"]), control, int(entry["points"]))
             self.pinned = [model.state_names.index(name) for name in entry["pins"] if name in model.state_names]
             self.normals = np.array(entry["normals"], float).reshape(-1, len(model.state_names))
-            self.free = np.array([_value(model, name) for name in self.parts.free])
-            self.held = _held_at({name: _value(model, name) for name in entry["free"]} | {"period": period},
+            self.free = np.array([model.value(name) for name in self.parts.free])
+            self.held = _held_at({name: model.value(name) for name in entry["free"]} | {"period": period},
                                  entry["bounds"])  # fmt: skip
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"control: malformed entry ({error}); run the problem again") from error
@@ -364,11 +364,6 @@ class _Controlled:
         """States of a segment at times (s) since its start."""
         shares = since / self.duration(k)
         return integrate(self.rates(k), self.pieces[k][0], shares, TIGHTEST, 0.25)[:, : self.parts.size]
-
-
-def _value(model: Model, name: str) -> float:
-    """A physical parameter's own value."""
-    return float(model.parameter_values[model.parameter_index(name)])
 
 
 def gather_controlled(

@@ -359,7 +359,7 @@ def diagram(
 
 def drawn(coordinate: str, model: Model) -> int:
     """The number of the coordinate that a diagram shows, behind all that of the norm. Raises `InputError`."""
-    names = (*model.state_names[: model.degrees_of_freedom], NORM)
+    names = (*model.coordinates, NORM)
     if coordinate not in names:
         raise InputError(f"coordinate: unknown {coordinate!r}{closest(coordinate, names)}; this system has "
                          f"{', '.join(names[:20])}")  # fmt: skip

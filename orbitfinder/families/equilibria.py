@@ -135,7 +135,7 @@ def follow_equilibria(
         raise InputError(f"{missing}: missing; give follow_equilibria(model, state, parameter), or a branch alone")
     refuse_moving(model, parameter)
     state = check_state(model, state)
-    start = float(model.parameter_values[model.parameter_index(parameter)])
+    start = model.value(parameter)
     check_goals(model, parameter, start, until, at, points)
     span, label = None if until is None else until - start, name or (branch.name if branch else "equilibria")
     judge = Judge(model, (parameter,))

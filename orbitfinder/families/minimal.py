@@ -81,7 +81,7 @@ def dead_point(model: Model, states: np.ndarray, free: Mapping[str, float] | Non
     native, loops, everywhere = _native(model.system, free)
     u = states[np.all(np.isfinite(states), axis=1), : model.degrees_of_freedom]
     places = everywhere.map(len(u))(u.T, 0 * u.T)[0].full().T
-    chosen = [native.state_names.index(name) for name in model.state_names[: model.degrees_of_freedom]]
+    chosen = [native.state_names.index(name) for name in model.coordinates]
     margins = loops.margins(native, places)(chosen)
     worst = int(margins.argmin())
     return loops.dead(native, places[worst], chosen) if margins[worst] < 1 else ""

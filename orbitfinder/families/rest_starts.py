@@ -164,7 +164,7 @@ def find_equilibria(
 
 def _sides(model: Model, box: Mapping[str, Sequence[float]]) -> tuple[np.ndarray, np.ndarray]:
     """The least and the largest state of a box, rates of mechanics 0; `InputError` where it is none."""
-    names = model.state_names[: model.degrees_of_freedom]
+    names = model.coordinates
     for name, sides in box.items():
         if name not in names:
             raise InputError(f"box: unknown {name!r}{closest(name, names)}; this system has {', '.join(names)}")

@@ -21,7 +21,7 @@ def family_tables(family: Family, model: Model | None = None) -> Tables:
     model = model or build_model(family.system)
     seen, count, watched = extents(family, model), len(family.points), family.points[0].watch
     names = dict.fromkeys([*family.parameters, *family.points[0].free])
-    called = model.state_names[: model.degrees_of_freedom]
+    called = model.coordinates
 
     def columns(members: Sequence[Any], rows: slice, more: dict[str, Any]) -> dict[str, Any]:
         parameters = {name: [family.value(member, name) for member in members] for name in names}
@@ -83,7 +83,7 @@ def diagram_tables(diagram: BifurcationDiagram, model: Model | None = None) -> T
     for curve in diagram.curves:
         tables = made[curve.file] = curve.record.tables(model)
         if isinstance(curve.record, Equilibria):
-            names = model.state_names[: model.degrees_of_freedom]
+            names = model.coordinates
             at = np.array([tables["points"][name] for name in names]).T
             tables["points"] |= extent_columns(names, at, at)
         events = range(len(curve.record.events))

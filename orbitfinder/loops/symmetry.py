@@ -420,7 +420,7 @@ class Symmetry:
             half = cycles * model.driving_period / 2
         for involution in self.maps:
             if _broken(model, state, involution, half if involution.sense > 0 else 0.0):
-                meaning = involution.in_words(model.state_names[: model.degrees_of_freedom])
+                meaning = involution.in_words(model.coordinates)
                 raise InputError(
                     f"symmetry: this system's equations change under {meaning}, so {self.name!r} cannot be imposed; "
                     "use symmetry = 'none' (symmetric orbits are recognised)"

@@ -349,6 +349,11 @@ class Model(Shown):
         return len(self.state_names) // (2 if self.rates is None else 1)
 
     @property
+    def coordinates(self) -> tuple[str, ...]:
+        """The names of the generalized coordinates (n), the first of the state's components."""
+        return self.state_names[: self.degrees_of_freedom]
+
+    @property
     def canonical(self) -> bool:
         """True when the equations are Hamilton's by construction: no forces act, or the rates are those of an H."""
         return self.forces is None if self.rates is None else self.hamiltonian
@@ -427,6 +432,10 @@ class Model(Shown):
             known = ", ".join(self.parameter_names[:12])
             raise InputError(f"free: unknown physical parameter {name!r}; this system has {known}")
         return self.parameter_names.index(name)
+
+    def value(self, name: str) -> float:
+        """The model's own value of a physical parameter; `InputError` names the known ones."""
+        return float(self.parameter_values[self.parameter_index(name)])
 
     @property
     def named_parameters(self) -> dict[str, float]:

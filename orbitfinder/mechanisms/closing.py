@@ -142,7 +142,7 @@ def mechanism_state(
     Coordinates that are not `known` start from `near` (n) or the pose. Raises `InputError` where a loop stays open, or
     at a dead point of the given coordinates, which then do not say how the others move.
     """
-    names = model.state_names[: model.degrees_of_freedom]
+    names = model.coordinates
     given = by_place(known or {}, names, "coordinate", "mechanism")
     speeds = by_place(rates or {}, [f"{name}dot" for name in names], "rate", "mechanism")
     pose = model.system.get("pose", {})
@@ -199,7 +199,7 @@ def minimal_mechanism(model: Model, independent: Sequence[str], near: np.ndarray
     A. Wehage, E. J. Haug, Journal of Mechanical Design 104 (1982) 247-255. Valid while the closures determine the
     others (no dead point of u). Raises `InputError`.
     """
-    names, n = model.state_names[: model.degrees_of_freedom], model.degrees_of_freedom
+    names, n = model.coordinates, model.degrees_of_freedom
     freedom = n - len(constraint_of(model).force_names)
     for name in independent:
         if name not in names:
@@ -279,7 +279,7 @@ def _followed(model: Model, chosen: list[int], pose: np.ndarray, u: ca.SX, p: ca
 
 def _in_all(model: Model, system: Table, u: ca.SX) -> ca.SX:
     """All coordinates (n) of the minimal form with this system."""
-    names = model.state_names[: model.degrees_of_freedom]
+    names = model.coordinates
     chosen = [names.index(name) for name in system["independent"]]
     pose = np.array([system["pose"][name] for name in names])
     return _followed(model, chosen, pose, u, ca.SX(ca.DM(model.parameter_values)))

@@ -1247,7 +1247,7 @@ def body_point(model: Model, body: str, at: Sequence[float]) -> Callable[[Sequen
     """point(x, p): where a point (m, in its own axes) of a body of a mechanism without loops is (2 or 3, m), for the
     contacts of `of.impact`, the guards of `of.Transition` and the like. x are the states and p the parameters in order.
     """
-    system, names = model.system, model.state_names[: model.degrees_of_freedom]
+    system, names = model.system, model.coordinates
     if "bodies" not in system or model.constraint is not None or "independent" in system or model.forced:
         raise InputError("body_point: needs a mechanism without loops and prescribed motions")
     numbers = _Numbers(system.get("parameters", {}), system.get("values", {}))

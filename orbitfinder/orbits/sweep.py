@@ -320,7 +320,7 @@ class _Study:
         visits = [line for line in journal.known if isinstance(line, _Visit)]
         self.known = {tuple(line.row.values.get(name) for name in names): line for line in visits}
         model, pinned = problem.model, {pin.name: pin.value for pin in problem.pin}
-        own = {name: float(model.parameter_values[model.parameter_index(name)]) for name in names if name not in pinned}
+        own = {name: model.value(name) for name in names if name not in pinned}
         self.own = np.array([pinned.get(name, own.get(name)) for name in names], float)
         self._free = (*problem.free, *(name for name in own if name not in problem.free))
         self._pin = (*problem.pin, *(Pin(name, value) for name, value in own.items()))

@@ -388,7 +388,7 @@ def _quantity(family: Family, name: str, model: Model) -> np.ndarray:
     own = (*family.parameters, *family.points[0].free, *family.points[0].watch)
     if name == "frequency" and name not in own:
         return frequencies(family)
-    ranges = [f"{word}_{each}" for each in model.state_names[: model.degrees_of_freedom]
+    ranges = [f"{word}_{each}" for each in model.coordinates
               for word in ("amplitude", "min", "max")]  # fmt: skip
     if name in ranges and name not in own:
         tables = family.tables(model)
@@ -533,7 +533,7 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
     one `model` and one parameter are drawn together. Raises `InputError`.
     """
     sizes = [amplitudes(family, model) for family in families]
-    names = model.state_names[: model.degrees_of_freedom]
+    names = model.coordinates
     if coordinate is not None and coordinate not in names:
         raise InputError(f"coordinate: unknown {coordinate!r}; this system has {', '.join(names)}")
     most = int(np.max([size.max(axis=0) for size in sizes], axis=0).argmax())

@@ -129,7 +129,7 @@ def _limits(
         ends.append(reach(section.points, np.ones(section.returns)))
     ends += [(place.min(axis=0), place.max(axis=0)) for place in points]
     low, high = np.min([end[0] for end in ends], axis=0), np.max([end[1] for end in ends], axis=0)
-    turns = [name in model.state_names[: model.degrees_of_freedom] and model.angular[model.state_names.index(name)]
+    turns = [name in model.coordinates and model.angular[model.state_names.index(name)]
              for name in names]  # fmt: skip
     low, high = np.where(turns, np.maximum(low, -np.pi), low), np.where(turns, np.minimum(high, np.pi), high)
     room = np.where(high > low, 0.06 * (high - low) + 1e-12 * np.abs(high), 1.0)

@@ -89,7 +89,7 @@ class RestPanel:
         here = np.vstack([*([self._box] if self._settled else []), np.vstack(seen)[:, self._plane]])
         self._box = np.array([here.min(axis=0), here.max(axis=0)])
         self._settled, self._sizes = done, done.sizes
-        value = model.parameter_values[model.parameter_index(name)]
+        value = model.value(name)
         motion = "comes to rest" if done.still else "does not come to rest"
         self._about.set_text(f"{name} = {value:.6g}: {said}; the motion {motion}")
         self.recolour()

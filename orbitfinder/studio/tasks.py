@@ -285,7 +285,7 @@ class Tasks:
         Steps that Newton's method does not survive are halved. Raises `ConvergenceError` where the orbit ends.
         """
         model = self.model(orbit.system)
-        last = float(model.parameter_values[model.parameter_index(name)])
+        last = model.value(name)
         refiner, known = self._warm(orbit, model, name), list[tuple[Any, Any]]([(last, orbit)])
 
         def refined(at: float) -> tuple[Any, int]:
@@ -305,7 +305,7 @@ class Tasks:
         plain = with_parameters(model, {name: 1.0}).parameter_values.tolist()
         key = (name, plain, orbit.symmetry, orbit.winding, round(orbit.energy, 9))
         if self._refiner is None or self._refiner[0] != key:
-            value = float(model.parameter_values[model.parameter_index(name)])
+            value = model.value(name)
             pins = (*((Pin("energy", orbit.energy),) if model.conservative else ()), Pin(name, value))
             problem = Problem(
                 model, Guess(orbit.state, orbit.period), pins, winding=orbit.winding, free=(name,), name=orbit.name,
