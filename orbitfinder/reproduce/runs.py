@@ -111,10 +111,15 @@ def energy_figure(runs: dict[str, MethodRun], title: str) -> Any:
     dress(upper, "", "energy (J)")
     dress(lower, "time (s)", "E(t) \N{MINUS SIGN} E(0) (J)")
     lower.set_xlim(0, first.times[-1])
-    upper.legend(ncols=3, frameon=False, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.1, fontsize=9)
+    _legend_above(upper, 3, 9)
     if len(runs) > 1:
         lower.legend(frameon=False, fontsize=9, loc="best")
     return figure
+
+
+def _legend_above(axes: Any, columns: int, size: int = 8) -> None:
+    """A legend over the upper left corner of a panel."""
+    axes.legend(frameon=False, fontsize=size, ncols=columns, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.1)
 
 
 PAIRS = (("lagrange", "newton-euler", 6), ("lagrange", "dae", 7), ("dae", "newton-euler", 8))
@@ -201,7 +206,7 @@ def difference_figure(
     dress(axes, "time (s)", "absolute difference (rad)")
     axes.set_ylim(1e-16, 1e2)
     axes.set_xlim(0, times[-1])
-    axes.legend(frameon=False, fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.1)
+    _legend_above(axes, 4)
     return figure
 
 
@@ -274,13 +279,13 @@ def figure_10(result: DaeTrajectory, points: np.ndarray) -> Any:
         result.times, result.rate_drift + 1e-17, color=COLOURS[1], linewidth=0.7, label=r"$|\dot\phi|$ (m/s)"
     )
     dress(constraint, "time (s)", "constraint error")
-    constraint.legend(frameon=False, fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.1)
+    _legend_above(constraint, 2)
     ground = result.forces.reshape(len(result.times), -1, 2)
     for k, (joint, label) in enumerate(((0, "left pivot"), (-1, "right pivot"))):
         size = np.linalg.norm(ground[:, joint], axis=1)
         force.plot(result.times, size, color=COLOURS[k], linestyle="-" if k == 0 else "--", linewidth=0.9, label=label)
     dress(force, "time (s)", "joint force (N)")
-    force.legend(frameon=False, fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.1)
+    _legend_above(force, 2)
     for down, across in points[: SAMPLES // 2 : 12]:
         sweep.plot(across, -down, color=COLOURS[0], alpha=0.25, linewidth=0.8)
     sweep.plot(points[0, 1], -points[0, 0], "o-", color="black", linewidth=1.6, markersize=4)
