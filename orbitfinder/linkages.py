@@ -1,6 +1,6 @@
 """What is special to closed linkages: assembly, states, modes, joint forces, the native DAE's simulation."""
 
-from orbitfinder._runtime.front import fronted
+from orbitfinder._runtime.front import fronted_all
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.mechanics.constrained import maximal_states, minimal_states
 from orbitfinder.mechanisms.closing import mechanism_state, minimal_mechanism
@@ -14,4 +14,4 @@ __all__ = [
     "linkage_modes", "linkage_rates", "linkage_state", "maximal_states", "mechanism_state", "minimal_linkage",
     "minimal_mechanism", "minimal_states", "simulate_dae",
 ]  # fmt: skip
-globals().update({name: fronted(globals()[name], __name__) for name in __all__})
+fronted_all(globals())

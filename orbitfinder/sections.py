@@ -1,7 +1,7 @@
 """Poincare sections, bifurcation diagrams of samples, invariant manifolds, connections of orbits: their records, files,
 certificates and pictures."""
 
-from orbitfinder._runtime.front import fronted
+from orbitfinder._runtime.front import fronted_all
 from orbitfinder.proof.connections import ConnectionRecord, prove_connection
 from orbitfinder.show.bifurcation import draw_bifurcation
 from orbitfinder.show.frequencies import draw_frequencies
@@ -25,4 +25,4 @@ __all__ = [
     "load_connection", "load_manifold", "load_section", "prove_connection", "save_bifurcation", "save_connection",
     "save_manifold", "save_section",
 ]  # fmt: skip
-globals().update({name: fronted(globals()[name], __name__) for name in __all__})
+fronted_all(globals())

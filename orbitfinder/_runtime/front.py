@@ -44,3 +44,8 @@ def fronted(value: Any, package: str) -> Any:
     front = checked(value)
     front.__module__ = package
     return front
+
+
+def fronted_all(module: dict[str, Any]) -> None:
+    """Every name that a module's `__all__` lists, as `fronted` has it, in the module's own names."""
+    module.update({name: fronted(module[name], module["__name__"]) for name in module["__all__"]})
