@@ -191,7 +191,10 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
 
 
 def _tried(function: ca.Function, effort: float | None) -> ca.Function:
-    fast = attempted(function.name(), lambda: _library(function, effort))
+    fast = attempted(
+        function.name(),
+        lambda: library(casadi_code(function), lambda path, new: _opened(path, function, new), effort),
+    )
     return function if fast is None else fast
 
 
@@ -218,11 +221,6 @@ def with_derivatives(function: ca.Function, *, effort: float | None = None) -> c
     inputs = function.mx_in()
     options = {"custom_jacobian": function.jacobian(), "never_inline": True, "jac_penalty": 0}
     return ca.Function(function.name(), inputs, fast.call(inputs), function.name_in(), function.name_out(), options)
-
-
-def _library(function: ca.Function, effort: float | None) -> ca.Function:
-    """The compiled function, from this process, from the disk or made now."""
-    return library(casadi_code(function), lambda path, new: _opened(path, function, new), effort)
 
 
 def library(code: str, opened: Callable[[Path, bool], T], effort: float | None, level: str = "") -> T:

@@ -282,6 +282,11 @@ class BorderedRecord(Versioned):
     wall_time: float = 0.0
 
     @property
+    def start(self) -> Vector:
+        """The centre in balls without a radius."""
+        return [*map(arb, self.centre)]
+
+    @property
     def words(self) -> list[tuple[str, str]]:
         """What is proved, line by line."""
         at, period = (in_digits(ball) for ball in (self.value, self.period))
@@ -352,7 +357,7 @@ class _EventProof:
     def sections(self) -> list[tuple[Any, Any]]:
         """The hyperplanes through the centre: across the flow of x, and of y, as they are wanted, and across y."""
         form, m = self.form, self.form.components
-        node = [float(x.mid()) for x in form.nodes(list(map(arb, self.about.centre)))[0]]
+        node = [float(x.mid()) for x in form.nodes(self.about.start)[0]]
         own, other, first = np.zeros((3, form.dimension))
         own[:m] = other[m : 2 * m] = self.about.flow
         first[m : 2 * m] = node[m : 2 * m]
@@ -390,7 +395,7 @@ class _EventProof:
             rows[:, -1] = float(form.drive.mid()) * np.arange(len(nodes)) / len(nodes)
         whole = np.array(form.unknowns_of(rows, duration))
         self.about = replace(self.about, centre=tuple(whole.tolist()), flow=tuple(flow_there[:m].tolist()))
-        unknowns, here = list(map(arb, self.about.centre)), replace(self.equations, sections=self.sections())
+        unknowns, here = self.about.start, replace(self.equations, sections=self.sections())
         ends = [flow(here, node, self.about.settings, vary=True)[1] for node in form.nodes(unknowns)]
         free, rest = list(form.free), form.dimension * np.arange(len(nodes) - 1)[:, None] + form.varied
         linear = [*(free.index(i) for i in form.varied if i in free), *(len(free) + rest.ravel())]
@@ -411,10 +416,8 @@ class _EventProof:
         """Move the centre to the zero, and take the largest box about it in which the operator shows that it is alone.
         Raises `NotProved`, `ConvergenceError`, `IntegrationError`."""
         settings = self.about.settings
-        self.centred(solve(self.equations, list(map(arb, self.about.centre)), settings, CENTRE)[0])
-        contracted = enclosed(
-            lambda box: krawczyk(self.equations, box, settings), list(map(arb, self.about.centre)), self.say
-        )
+        self.centred(solve(self.equations, self.about.start, settings, CENTRE)[0])
+        contracted = enclosed(lambda box: krawczyk(self.equations, box, settings), self.about.start, self.say)
         self.about = replace(self.about, radius=radius(contracted.box))
 
     def side(self, slopes: Any, box: Vector) -> str:
@@ -520,12 +523,10 @@ class _GaitEventProof:
 
     def solved(self) -> None:
         """See `_EventProof`."""
-        settings, start = self.about.settings, list(map(arb, self.about.centre))
+        settings, start = self.about.settings, self.about.start
         centre = self.arcs.solved(start, settings, CENTRE)
         self.about = replace(self.about, centre=tuple(map(float, centre)))
-        contracted = enclosed(
-            lambda box: self.arcs.krawczyk(box, settings)[0], list(map(arb, self.about.centre)), self.say
-        )
+        contracted = enclosed(lambda box: self.arcs.krawczyk(box, settings)[0], self.about.start, self.say)
         self.about = replace(self.about, radius=radius(contracted.box))
 
     def concluded(self, margin: float = MARGIN, digits: int = DIGITS) -> BorderedRecord:

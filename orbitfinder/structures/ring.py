@@ -245,9 +245,14 @@ class Circle:
         raise ConvergenceError(f"the motion on this torus needs more than {self.most_steps} steps a return")
 
 
+def spectrum(curve: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The orders of a curve's harmonics and their sizes."""
+    return np.abs(harmonics(len(curve))), np.abs(coefficients(curve)).max(axis=1)
+
+
 def unresolved(curve: np.ndarray) -> float:
     """The largest of the highest sixth of the harmonics, relative to the largest of all but the mean."""
-    waves, sizes = np.abs(harmonics(len(curve))), np.abs(coefficients(curve)).max(axis=1)
+    waves, sizes = spectrum(curve)
     return float(sizes[waves > 5 * waves.max() // 6].max() / nonzero(sizes[waves > 0].max()))
 
 

@@ -34,7 +34,16 @@ from orbitfinder.records.certificate import Certificate, at_least, at_most, equa
 from orbitfinder.records.codec import entries_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import Entries, typed
-from orbitfinder.structures.ring import RESOLVED, Circle, Turned, at_angles, coefficients, harmonics, unresolved
+from orbitfinder.structures.ring import (
+    RESOLVED,
+    Circle,
+    Turned,
+    at_angles,
+    coefficients,
+    harmonics,
+    spectrum,
+    unresolved,
+)
 from orbitfinder.structures.sections import Surface
 from orbitfinder.structures.torus import Tori, Torus
 
@@ -466,7 +475,7 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
     near = resonance(torus.rotation, len(torus.curve))
     # a curve is gone round as often as the greatest common divisor of the harmonics that are there
     curve = torus.curve / extents
-    waves, sizes = np.abs(harmonics(len(curve))), np.abs(coefficients(curve)).max(axis=1)
+    waves, sizes = spectrum(curve)
     there = waves[(waves > 0) & (sizes > 1e-6 * sizes[waves > 0].max())]
     checks = [
         at_most("invariance", missed, INVARIANT, "a return, between the curve's states, by another integrator"),
