@@ -374,11 +374,6 @@ class Program:
             return np.concatenate([phases, *(coefficients[picked, i] for i in columns), free])
         return ca.vertcat(*phases, *(coefficients[i][picked] for i in columns), free)
 
-    def carried(self, near: Optimum) -> tuple[Unknowns, np.ndarray]:
-        """A solution of a problem of the same form as the start of this one's: at its pins and its parameters."""
-        w, period = near.unknowns, next((pin.value for pin in self.problem.pin if pin.name == "period"), None)
-        return replace(w, period=w.period if period is None else period), near.coefficients
-
     @property
     def points(self) -> int:
         """Numbers in z for a segment."""
@@ -463,18 +458,16 @@ class Program:
         return worst
 
 
-def optimum(
-    problem: Problem, control: Control, tolerance: float, near: tuple[Program, Optimum] | None = None
-) -> tuple[Program, Optimum]:
+def optimum(problem: Problem, control: Control, tolerance: float) -> tuple[Program, Optimum]:
     """The controlled motion of a problem, with as many steps as its states no longer depend on, closed to round-off.
 
-    It starts at the guess, or at a solution `near` of a problem of the same form.
-    The last digits of a collocated motion are those of shooting under its control. Raises `ConvergenceError`.
+    It starts at the guess. The last digits of a collocated motion are those of shooting under its control. Raises
+    `ConvergenceError`.
     """
     steps = -(-16 * control.harmonics // control.intervals) if control.shape == "fourier" else 1  # of the highest 16
     order, enough = (8, AGREEMENT) if control.method == "shooting" else (2 * POINTS, COLLOCATED)
-    program = Program(problem, control, steps if near is None else near[0].parts.steps)
-    start = program.guessed() if near is None else program.carried(near[1])
+    program = Program(problem, control, steps)
+    start = program.guessed()
     steps = program.parts.steps
     while True:
         solution = program.solved(start, tolerance)
