@@ -7,7 +7,7 @@ from collections.abc import Callable
 import casadi as ca
 
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanisms.library import ingredients
+from orbitfinder.mechanisms.library import hanging, ingredients
 from orbitfinder.mechanisms.machines import compass, hopper
 
 
@@ -28,12 +28,10 @@ def driven_oscillator(
 def driven_cart_pole(cart: float = 1.0, mass: float = 0.3, length: float = 0.5, gravity: float = 9.81) -> Model:
     """A point mass on a rod (theta from the downward vertical) on a cart (y, m) that the control `force` (N) pushes."""
     made = ingredients(2, locals(), ("cart", "mass", "length"), controls=("force",))
-    q, v, arm = made.q, made.v, made["length"]
-    bob = ca.vertcat(arm * ca.cos(q[1]), q[0] + arm * ca.sin(q[1]))
-    kinetic = made["cart"] * v[0] ** 2 / 2 + made["mass"] * ca.sumsqr(ca.jtimes(bob, q, v)) / 2
+    kinetic, potential, places = hanging(made)
     return made.model(
-        "driven_cart_pole", kinetic, -made["mass"] * made["gravity"] * bob[0], names=["y", "theta"],
-        angles=[False, True], forces=ca.vertcat(made["force"], 0), points=ca.horzcat(ca.vertcat(0, q[0]), bob),
+        "driven_cart_pole", kinetic, potential, names=["y", "theta"],
+        angles=[False, True], forces=ca.vertcat(made["force"], 0), points=places,
         controls=["force"],
     )  # fmt: skip
 

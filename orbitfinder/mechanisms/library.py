@@ -312,16 +312,21 @@ def pendulum_on_cart(
     tied = {} if stiffness == 0 else {"stiffness": stiffness}
     given = {"cart": cart, "mass": mass, "length": length, **tied}
     made = ingredients(2, {**given, "gravity": gravity}, tuple(given))
+    kinetic, potential, places = hanging(made)
+    if tied:
+        potential += made["stiffness"] * made.q[0] ** 2 / 2
+    return made.model(
+        "pendulum_on_cart", kinetic, potential, names=["y", "theta"], angles=[False, True],
+        points=places, strokes=(("slider", (0,)), ("rod", (0, 1))),
+    )  # fmt: skip
+
+
+def hanging(made: Ingredients) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """T and V of a point mass on a rod that hangs from a cart on a level track, and the places of both (2 x 2)."""
     q, v, arm = made.q, made.v, made["length"]
     bob = ca.vertcat(arm * ca.cos(q[1]), q[0] + arm * ca.sin(q[1]))
     kinetic = made["cart"] * v[0] ** 2 / 2 + made["mass"] * ca.sumsqr(ca.jtimes(bob, q, v)) / 2
-    potential = -made["mass"] * made["gravity"] * bob[0]
-    if tied:
-        potential += made["stiffness"] * q[0] ** 2 / 2
-    return made.model(
-        "pendulum_on_cart", kinetic, potential, names=["y", "theta"], angles=[False, True],
-        points=ca.horzcat(ca.vertcat(0, q[0]), bob), strokes=(("slider", (0,)), ("rod", (0, 1))),
-    )  # fmt: skip
+    return kinetic, -made["mass"] * made["gravity"] * bob[0], ca.horzcat(ca.vertcat(0, q[0]), bob)
 
 
 def cart_chain(
