@@ -315,6 +315,29 @@ def test_a_search_that_wanders_keeps_the_period_of_the_forcing():
     assert len(said) > 20 and all(report.period == pytest.approx(period, rel=1e-14) for report in said)
 
 
+@pytest.mark.parametrize(
+    ("length", "start", "iterations"),
+    [
+        (7.0, (0.3, 0.0), 15),
+        *(
+            pytest.param(length, start, 100, marks=pytest.mark.slow)
+            for length in (1.0, 1.0001, 2.0, 1024.0, 1000.0, 3.0, 7.0)
+            for start in ((0.3, 0.0), (0.2, 0.1), (1.0, 1.0), (-1.0, 0.5))
+        ),
+    ],
+)
+def test_far_guesses_find_the_driven_orbit_in_all_units_of_length(length, start, iterations):
+    """x'' + 0.1 x' + x + x^3 / L^2 = 0.3 L cos 1.2 t, by the program or from where a simulation settles."""
+    q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
+    period, push = 2 * np.pi / 1.2, 0.3 * length * ca.cos(1.2 * t) - 0.1 * v
+    drive = of.Symbols(q, v, time=t, forcing_period=period)
+    model = of.lagrange(v**2 / 2, q**2 / 2 + q**4 / (4 * length**2), drive, forces=push, names=["x"])
+    problem = of.Problem(model, of.Guess([start[0] * length, start[1] * length], period))
+    orbit = of.find_orbit(problem, of.SolveSettings(with_certificate=False, max_iterations=iterations))
+    np.testing.assert_allclose(orbit.state / length, [0.902701574469762, 0.52973200304008], rtol=0, atol=1e-9)
+    assert orbit.provenance.get("start", "a simulation that settles") == "a simulation that settles"
+
+
 def oscillator(length, time, mass):
     """An impact oscillator, whose time is its spring's."""
     del time, mass

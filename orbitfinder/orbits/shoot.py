@@ -39,6 +39,7 @@ from orbitfinder.mechanics.model import Model, between
 from orbitfinder.mechanics.scales import extents_of
 from orbitfinder.orbits.closure import gap
 from orbitfinder.orbits.guesses.balance import balanced_guess
+from orbitfinder.orbits.guesses.settled import cycles
 from orbitfinder.orbits.hybrid import STEPS, first_unknowns
 from orbitfinder.orbits.measure import dense, measure, provenance, shift_of
 from orbitfinder.orbits.objectives import chosen
@@ -156,7 +157,8 @@ def found(problem: Problem, settings: SolveSettings, report: Callback | None, be
         refined, w = _shot(problem, flow, settings, report)
     except (ConvergenceError, IntegrationError) as error:
         refined, w = _shot_again(problem, flow, settings, report, error)
-        said = {"start": "harmonic balance along the family of the guess's linear mode"}
+        settles, balances = "a simulation that settles", "harmonic balance along the family of the guess's linear mode"
+        said = {"start": settles if problem.model.forced else balances}
     unknowns = refined.at(w)
     unfolding = acting(refined.flow, unknowns.nodes, unknowns.unfolding)
     orbit = measure(refined.problem, refined.flow, unknowns.nodes, unknowns.period, unfolding)
@@ -216,10 +218,11 @@ def _shot_again(
 ) -> tuple[Shooting, np.ndarray]:
     """The same from a better guess, where there is one; raises the first error where there is none."""
     interrupt.check()  # CasADi makes a failed search of Ctrl-C
-    guess = balanced_guess(problem)
-    if guess is None:
-        raise error
     try:
+        forced, near = problem.model.forced and problem.model.constraint is None, problem.guess
+        guess = next(cycles(problem.model, near, near, stiff=True), None) if forced else balanced_guess(problem)
+        if guess is None:
+            raise error
         return _shot(replace(problem, guess=guess), flow, settings, report)
     except (ConvergenceError, IntegrationError):
         raise error from None
