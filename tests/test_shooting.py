@@ -174,7 +174,7 @@ def test_the_program_of_a_forced_system_states_the_rows_of_its_loop():
     shooting = shoot(Problem(FUNCTIONS["forced_duffing"](), Guess([1.0, 0.0], 6.0), segments=2))
     w, ends = shooting.start + 0.1, np.array([[0.3, 0.4], [0.5, 0.6]])
     rows = shooting.rows(w, ends.T).full().ravel()
-    np.testing.assert_allclose(rows, shooting.loop.rows(shooting.at(w), ends), atol=1e-14)
+    np.testing.assert_allclose(rows, shooting.loop.rows(shooting.at(w), ends) / shooting.units, atol=1e-14)
     assert rows.size == 5 and rows[-1] != 0
 
 

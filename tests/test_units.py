@@ -21,6 +21,7 @@ from orbitfinder.families.point import FamilySettings, extents
 from orbitfinder.families.start import begin
 from orbitfinder.loops.shooting import transcribe
 from orbitfinder.mechanics.kind import build_model
+from orbitfinder.mechanics.scales import units_of
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.guesses.modes import equilibrium, normal_modes
 from orbitfinder.systems import bouncing_ball, compass_gait, duffing, impact_oscillator, slip_runner, vertical_hopper
@@ -284,7 +285,7 @@ def test_the_record_says_what_was_measured_in():
     """Units other than 1 are in the provenance."""
     model = duffing(**told(2e-6, 1.6e-7))
     orbit = of.find_orbit(of.Problem(model, of.Guess([2e-6, 0.0], 8e-7), pin=of.pin(x=2e-6)))
-    assert orbit.provenance["scales"] == {"x": 256.0**-2, "xdot": 256.0}
+    assert orbit.provenance["scales"] == {"x": 2.0**-19, "xdot": 16.0}
 
 
 def swung(length, time=1.0, mass=1.0):
@@ -294,6 +295,62 @@ def swung(length, time=1.0, mass=1.0):
     push = mass * (0.3 * length / time**2 * ca.cos(1.2 * t / time) - 0.1 / time * v)
     drive = of.Symbols(q, v, time=t, forcing_period=2 * np.pi / 1.2 * time)
     return of.lagrange(mass * v**2 / 2, well, drive, forces=push, names=["x"])
+
+
+OTHERS = [(2.0, 1.0, 1.0), (1024.0, 1.0, 1.0), (1.0, 1 / 64, 4096.0), (7.0, 1.0, 1.0), (1e3, 1e-3, 1e3),
+          (1e-6, 1e-6, 1.0), (1.0001, 3.0, 1.0)]  # fmt: skip
+
+
+@pytest.mark.parametrize("units", OTHERS)
+def test_the_finders_program_of_a_mechanical_model_is_one_in_all_units(units):
+    """Start, bounds, weights and rows: the same bits for powers of two; no step leaves the period of the forcing."""
+
+    def program(length, time, mass):
+        guess = of.Guess([0.3 * length, 0.1 * length / time], 2 * np.pi / 1.2 * time)
+        made = transcribe(of.Problem(swung(length, time, mass), guess), np.outer([1.0, -2.0], guess.state))
+        parts = made.start, made.lower, made.upper, made.rows(made.start, made.guess.nodes.T).full()
+        return made, np.concatenate([np.ravel(part) for part in parts])
+
+    (made, one), (_, other) = program(1.0, 1.0, 1.0), program(*units)
+    exact = all(np.log2(unit) % 1.0 == 0.0 for unit in units)
+    np.testing.assert_allclose(other, one, rtol=0.0 if exact else 1e-12, atol=0.0 if exact else 1e-13)
+    period = made.guess.nodes.size
+    slopes = made.jacobian(made.start).full()[:, period]
+    assert np.array_equal(np.flatnonzero(slopes), [period])
+
+
+@pytest.mark.parametrize("length", [1.0, 1e-3, 7.0])
+def test_a_cart_at_rest_is_measured_beside_what_swings_from_it(length):
+    """x, theta: no length is to be read from theta = 0, theta' = 1, where nothing pushes the cart."""
+    x, turn, speed, rate = (ca.SX.sym(name) for name in ("x", "turn", "speed", "rate"))
+    kinetic = speed**2 + length * speed * rate * ca.cos(turn) + length**2 * rate**2 / 2
+    symbols = of.Symbols(ca.vertcat(x, turn), ca.vertcat(speed, rate))
+    model = of.lagrange(kinetic, -length * ca.cos(turn), symbols, angles=[False, True])
+    units = units_of(model, np.array([[0.0, 0.0, 0.0, 1.0]]), 2 * np.pi, 0.0)
+    # m L^2 is the same for both: 2 x^2 = length^2 theta^2; a tenth of a quarter of that
+    np.testing.assert_allclose(units, np.tile([length / np.sqrt(2) / 40, 1.0], 2), rtol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start", [(1.0, 1.0), (-1.0, 0.5), (0.3, 0.0), (0.2, 0.1)])
+def test_a_driven_orbit_is_found_in_the_same_iterations_in_all_units(start):
+    """Defects of all iterations beside those in the first units."""
+
+    def iterations(length, time=1.0, mass=1.0):
+        seen, guess = [], of.Guess([start[0] * length, start[1] * length / time], 2 * np.pi / 1.2 * time)
+        problem = of.Problem(swung(length, time, mass), guess)
+        orbit = of.find_orbit(problem, of.SolveSettings(with_certificate=False), seen.append)
+        assert all(report.period == pytest.approx(guess.period, rel=1e-6) for report in seen)
+        return [each.defect for each in seen if each.stage == "shooting"], orbit.state / [length, length / time]
+
+    (one, state) = iterations(1.0)
+    for units in OTHERS:
+        other, found = iterations(*units)
+        assert len(one) == len(other)
+        np.testing.assert_allclose(other[:5], one[:5], rtol=1e-6, atol=1e-11 * one[0])
+        np.testing.assert_allclose(found, state, rtol=1e-11)
+        if all(np.log2(unit) % 1.0 == 0.0 for unit in units):
+            assert other[:20] == one[:20]  # of no simulation that settles
 
 
 @pytest.mark.parametrize("cycles", [1, 2])
@@ -328,11 +385,7 @@ def test_a_search_that_wanders_keeps_the_period_of_the_forcing():
 )
 def test_far_guesses_find_the_driven_orbit_in_all_units_of_length(length, start, iterations):
     """x'' + 0.1 x' + x + x^3 / L^2 = 0.3 L cos 1.2 t, by the program or from where a simulation settles."""
-    q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
-    period, push = 2 * np.pi / 1.2, 0.3 * length * ca.cos(1.2 * t) - 0.1 * v
-    drive = of.Symbols(q, v, time=t, forcing_period=period)
-    model = of.lagrange(v**2 / 2, q**2 / 2 + q**4 / (4 * length**2), drive, forces=push, names=["x"])
-    problem = of.Problem(model, of.Guess([start[0] * length, start[1] * length], period))
+    problem = of.Problem(swung(length), of.Guess([start[0] * length, start[1] * length], 2 * np.pi / 1.2))
     orbit = of.find_orbit(problem, of.SolveSettings(with_certificate=False, max_iterations=iterations))
     np.testing.assert_allclose(orbit.state / length, [0.902701574469762, 0.52973200304008], rtol=0, atol=1e-9)
     assert orbit.provenance.get("start", "a simulation that settles") == "a simulation that settles"

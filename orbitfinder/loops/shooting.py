@@ -100,22 +100,23 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
         far = far_end(problem, nodes, flow)
     else:
         guess, far = nodes, equations.links.passed(nodes, equations.ends(nodes))[0][-1]
-    loop = loop_of(problem, equations, guess, far, problem.pin, np.asarray(flow.units) if flow.units else None)
+    units, own, phases = _units(flow, guess)
+    even = bool(np.all(units == 1.0))
+    loop = loop_of(problem, equations, guess, far, problem.pin, phases)
     scaled = guess.symbols()
     w, given = ca.vertcat(*scaled[0], *scaled[1]), ca.MX.sym("ends", equations.size, len(guess.nodes))
-    units = _units(flow, guess)
     start = guess.vector / units
-    parts, tail = scaled if not flow.units else _times(scaled, units)
+    parts, tail = scaled if even else _times(scaled, units)
     known = _variables(loop, flow, parts, tail, given)
     equalities = _rows(loop, problem, known, tail, far)
-    lost, own = np.zeros(equalities.numel()), loop.lost(guess)  # the user's constraints come after the loop's rows
-    lost[: own.size] = own
-    if flow.units:
-        sizes = _sizes(equalities, (w, given), start, guess, flow)
+    lost, hidden = np.zeros(equalities.numel()), loop.lost(guess)  # the user's constraints come after the loop's rows
+    lost[: hidden.size] = hidden
+    if not even:
+        sizes = _sizes(equalities, (w, given), start, guess, units)
     else:
         sizes = np.ones(lost.size)
         steepest = np.abs(loop.slopes(guess, loop.conditions)).max(axis=1)  # of a large mass by over 256
-        last = own.size - len(equations.links.transitions)
+        last = hidden.size - len(equations.links.transitions)
         sizes[last - len(loop.conditions) : last] = scales.snapped(steepest, scales.WIDE)
     sizes = np.maximum(sizes, lost / RANGES.resolved)
     rows = ca.Function("rows", [w, given], [equalities if np.all(sizes == 1.0) else equalities / ca.DM(sizes)])
@@ -125,8 +126,8 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
         tail = [problem.forcing_cycles * beat(problem.model.parameters(equations.free, tail[-1])), *tail[1:]]
     ends = ca.horzcat(*(part.end(*given) for part, given in spans(equations, flow, parts, tail)))
     constraints = rows(w, ends)
-    lower, upper = (bound.vector / units for bound in _bounds(problem, flow, guess, guess.at(units)))
-    weights = _weights(problem, guess.at(start))
+    lower, upper = (bound.vector / units for bound in _bounds(problem, even, guess, guess.at(units)))
+    weights = _weights(problem, guess.at(guess.vector / own)) * (units / own) ** 2
     value, residuals, inequalities = aims(w, ends)
     if problem.objective == "nearest":
         value = 0.5 * ca.dot(ca.DM(weights), (w - start) ** 2)
@@ -150,15 +151,21 @@ def units_of(problem: Problem) -> tuple[float, ...]:
     """What the state (d) of a Problem is measured in: what its guess's motion is integrated in; () when all 1."""
     guess = problem.guess
     states = np.asarray(guess.state, float)[None] if guess.states is None else np.asarray(guess.states)
-    return scales.units_of(problem.model, states, guess.period)
+    return scales.units_of(problem.model, states, guess.period, scales.base_of(problem.model))
 
 
-def _units(flow: Flow, guess: Unknowns) -> np.ndarray:
-    """Units of every entry of w: the flow's for nodes and period, 1 / period, the freed parameters' own sizes."""
-    if not flow.units:
-        return np.ones(guess.vector.size)
-    clock, sizes = float(scales.snapped(guess.period / (2 * np.pi))), np.abs(guess.free)
-    return guess.joined(np.asarray(flow.units), clock, 1.0 / clock, np.where(sizes > 0, sizes, 1.0))
+def _units(flow: Flow, guess: Unknowns) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Units of every entry of w: those of the motion itself where it shows them, else, and for the distance to the
+    guess, the flow's for nodes and period, 1 / period, the freed parameters' own sizes; and units of phases (d)."""
+    model, turn, sizes = flow.model, guess.period / (2 * np.pi), np.where(guess.free == 0, 1.0, np.abs(guess.free))
+    own, base = np.ones(guess.vector.size), scales.base_of(model)
+    if flow.units:
+        clock = float(scales.snapped(turn, base))
+        own = guess.joined(np.asarray(flow.units), clock, 1.0 / clock, sizes)
+    if base == scales.COARSE:
+        return own, own, np.asarray(flow.units) if flow.units else None
+    exact, phases = (scales.units_of(model, guess.nodes, guess.period, each) for each in (0.0, scales.COARSE))
+    return guess.joined(np.asarray(exact), turn, 1.0 / turn, sizes), own, np.asarray(phases) if phases else None
 
 
 def _times(parts: tuple[list[ca.MX], list[ca.MX]], units: np.ndarray) -> tuple[list[ca.MX], list[ca.MX]]:
@@ -169,10 +176,12 @@ def _times(parts: tuple[list[ca.MX], list[ca.MX]], units: np.ndarray) -> tuple[l
     return scaled[: len(nodes)], scaled[len(nodes) :]
 
 
-def _sizes(rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, flow: Flow) -> np.ndarray:
+def _sizes(
+    rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, units: np.ndarray
+) -> np.ndarray:
     """What a unit of the unknowns changes in each row at the start, which rows are measured in."""
     w, ends = inputs
-    sizes = ca.DM(np.tile(np.asarray(flow.units), len(guess.nodes)))
+    sizes = ca.DM(units[: guess.nodes.size])
     both = ca.horzcat(ca.jacobian(rows, w), ca.jacobian(rows, ends) @ ca.diag(sizes))
     slopes = ca.Function("slopes", [w, ends], [both])
     size = np.abs(slopes(start, np.roll(guess.nodes, -1, axis=0).T).full()).max(axis=1)
@@ -254,15 +263,14 @@ def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | Non
     return end_state(flow, nodes[-1], duration, (len(nodes) - 1) * duration)
 
 
-def _bounds(problem: Problem, flow: Flow, guess: Unknowns, units: Unknowns) -> tuple[Unknowns, Unknowns]:
+def _bounds(problem: Problem, even: bool, guess: Unknowns, units: Unknowns) -> tuple[Unknowns, Unknowns]:
     """Lowest and highest unknowns."""
-    n, turning = problem.model.degrees_of_freedom, 2 * np.pi / problem.guess.period
-    least = RANGES.far * units.nodes[0, :n] if flow.units else np.ones(n)
+    n = problem.model.degrees_of_freedom
+    least = np.ones(n) if even else RANGES.far * units.nodes[0, :n]
     coordinates = np.maximum(least, np.abs(guess.nodes[:, :n]).max(axis=0))
-    rate = max(float(np.abs(guess.nodes[:, n:]).max(initial=0.0)), turning * float(least.max()))
-    reach = np.concatenate(
-        [RANGES.angle_range * coordinates, np.full(guess.nodes[0].size - n, RANGES.rate_range * rate)]
-    )
+    rates = np.resize(least, guess.nodes[0].size - n)
+    pace = max(float((np.abs(guess.nodes[:, n:]) / rates).max(initial=0.0)), 2 * np.pi / problem.guess.period)
+    reach = np.concatenate([RANGES.angle_range * coordinates, RANGES.rate_range * pace * rates])
     unfolding = RANGES.unfolding_range * units.unfolding
     spread = 0.95 * np.abs(guess.free) + (guess.free == 0)
     times = problem.bounds.get("period", (guess.period / RANGES.period_range, guess.period * RANGES.period_range))

@@ -23,8 +23,8 @@ from orbitfinder._runtime.sizes import LEAST, nonzero
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.model import Model
 
-ALIKE = 16.0
-"""Lengths that differ by less than this factor are measured alike."""
+ALIKE, COARSE = 16.0, 256.0
+"""Lengths that differ by less than the first factor are measured alike, as they are in powers of the second."""
 
 STILL = 1e-12
 """A component of a first-order state that is less than this share of another is its round-off, not of smaller units,
@@ -126,7 +126,7 @@ def worded(text: str, system: Mapping[str, Any]) -> str:
     return text if all(words[name] == SI[name] for name in SI) else UNIT.sub(converted, text)
 
 
-def snapped(values: np.ndarray | float, base: float = ALIKE**2) -> np.ndarray:
+def snapped(values: np.ndarray | float, base: float = COARSE) -> np.ndarray:
     """The powers of a base nearest to positive values, 1 for all others."""
     given = np.asarray(values, float)
     known = np.isfinite(given) & (given > 0)
@@ -180,10 +180,10 @@ def alike(sizes: np.ndarray | float) -> np.ndarray:
     return np.where(snapped(sizes) == 1.0, 1.0, snapped(sizes, 2.0))
 
 
-def proportions(model: Model, state: np.ndarray) -> np.ndarray:
+def proportions(model: Model, state: np.ndarray, exact: bool = False) -> np.ndarray:
     """L_i (n) of the coordinates, in rad where there are angles, else relative to that of the heaviest coordinate.
 
-    Sizes that the user gives (`model.scales`) replace what the mass matrix says.
+    Sizes that the user gives (`model.scales`) replace what the mass matrix says, which is rounded but where `exact`.
     """
     if model.angular.all():
         return np.ones(model.degrees_of_freedom)
@@ -194,7 +194,7 @@ def proportions(model: Model, state: np.ndarray) -> np.ndarray:
     turning = model.angular & known
     reference = masses[turning if turning.any() else known].max(initial=0.0)
     ratios = np.sqrt(np.where(known, reference / np.where(known, masses, 1.0), 1.0))
-    return given_or(model, alike(ratios))
+    return given_or(model, ratios if exact else alike(ratios))
 
 
 def lengths(model: Model, states: np.ndarray) -> np.ndarray:
@@ -232,30 +232,43 @@ def unless_one(units: np.ndarray) -> tuple[float, ...]:
     return () if np.all(units == 1.0) else tuple(map(float, units))
 
 
-def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ...]:
-    """What a state (2n) is integrated in: powers of 256 near the lengths and the time of a motion (k x 2n); () is 1.
+def base_of(model: Model) -> float:
+    """The base of the powers that the finder's flow is measured in: 2 where a motion shows its sizes, that of a smooth
+    mechanical system with lengths or with a forcing."""
+    shown = model.smooth and model.rates is None and (model.forced or not bool(model.angular.all()))
+    return 2.0 if shown else COARSE
+
+
+def units_of(model: Model, states: np.ndarray, period: float, base: float = COARSE) -> tuple[float, ...]:
+    """What a state (2n) is measured in: powers of 256 near the lengths and the time of a motion (k x 2n); () is 1.
 
     Lengths are max(|q|, |v| tau), tau = T / 2 pi, the largest over all angles and over all others, or |a| tau^2 where
-    that is 0.
+    that is 0. Lengths and time are powers of a `base`; where that is 0, tau itself, 1 for angles and a quarter of the
+    other lengths, so that the finder's steps, which end at so many units, are those of a motion of some units.
     """
     clock, n = period / (2 * np.pi), model.degrees_of_freedom
-    if model.constraint is not None:  # integrated by IDAS
+    if model.constraint is not None and base:  # integrated by IDAS
         return ()
     largest = np.abs(states).max(axis=0)
     if model.rates is not None:
         sizes = np.maximum(largest, clock * np.abs(_pushed(model, states[0], n)))
         return unless_one(snapped(alone(sizes, model.angular, 1.0, acting_in(model, states))))
-    parts, turning = proportions(model, states[0]), model.angular
+    parts, turning = proportions(model, states[0], not base), model.angular
     amplitudes = np.maximum(largest[:n], largest[n:] * clock) / parts
-    if turning.all() and 1 / ALIKE < clock < ALIKE and 1 / ALIKE < amplitudes.max() < ALIKE:
+    if base == COARSE and turning.all() and 1 / ALIKE < clock < ALIKE and 1 / ALIKE < amplitudes.max() < ALIKE:
         return ()  # as below, in a third of the time
     for group in (turning, ~turning):
         size = amplitudes[group].max(initial=0.0)
         if group.any() and not size > 0:
             size = (np.abs(_pushed(model, states[0], n)) * clock**2 / parts)[group].max()
         amplitudes[group] = size
-    amplitudes = snapped(amplitudes * parts)
-    return unless_one(np.concatenate([amplitudes, amplitudes / snapped(clock)]))
+    if not base:
+        amplitudes = np.where(amplitudes > 0, amplitudes, LEAST_SHARE * amplitudes.max(initial=0.0))
+        sizes = np.where(turning | ~(amplitudes > 0), 1.0, amplitudes * parts / 4)
+        return (*sizes, *(sizes / clock))
+    amplitudes *= parts
+    sizes = np.where(turning, snapped(amplitudes), snapped(amplitudes, base))
+    return unless_one(np.concatenate([sizes, sizes / snapped(clock, base)]))
 
 
 def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
