@@ -4,6 +4,7 @@ import json
 import logging
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -20,8 +21,9 @@ from orbitfinder.families.folder import directions
 from orbitfinder.families.joins import Invariance, agrees
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.rest import can_rest, rest_of
-from orbitfinder.families.start import begin, full_samples
-from orbitfinder.families.verified import verified
+from orbitfinder.families.saddles import SLOW, near_saddle, passed
+from orbitfinder.families.start import begin, curve_in, full_samples
+from orbitfinder.families.verified import settled_on, verified
 from orbitfinder.loops.symmetry import REFLECTION_MAP
 from orbitfinder.mechanics.kind import build_model, check_reachable
 from orbitfinder.records.ends import ENDS
@@ -385,7 +387,7 @@ def test_both_canards_are_passed_from_the_relaxation_cycle(tmp_path):
     assert abs(left.parameter + right.parameter - 1.75) <= left.error + right.error < 1e-12
     assert abs(left.period - right.period) <= left.period_error + right.period_error < 1e-6
     assert [one.criticality for one in folds] == ["supercritical", "subcritical"]
-    assert folds[0].words == "supercritical fold I"
+    assert folds[0].words == "supercritical fold in I"
     for side, one in enumerate(reference("road.json", "eq-fhn")["values"]["hopf"]):
         assert hopf(family, side) == (
             pytest.approx(float(one["parameter"]), rel=1e-11),
@@ -640,6 +642,26 @@ def test_a_step_that_fails_beside_a_saddle_is_called_homoclinic():
     family = of.load_family(ROOT / "results" / "families" / "henon-heiles-straight" / "family.json")
     said = said_of(family, End("step underflow", "step below 1e-07: no convergence"), 1)
     assert not said.passed and "homoclinic" in said.note
+
+
+def test_orbits_at_rest_beside_a_saddle_are_no_singularity():
+    """Most of their period they hardly accelerate, so that the swing between is far above the median in time."""
+    family = of.load_family(ROOT / "results" / "families" / "henon-heiles-straight" / "family.json")
+    curve = curve_in(family, build_model(family.system))
+    assert ends.singularity(curve, settled_on(curve, family.points[-1]), "") is None
+
+
+def test_only_orbits_that_pass_their_saddle_are_followed_in_long_steps_alone():
+    """Before that a family may turn sharply and go on: mode 2 of four links does, at 99 % of its saddle's energy."""
+    family = of.load_family(ROOT / "results" / "families" / "henon-heiles-straight" / "family.json")
+    curve, found = curve_in(family, build_model(family.system)), []
+    run = SimpleNamespace(curve=curve, settings=QUIET)
+    for period in (9.0, 11.0, 13.0, 20.0, 25.0):
+        orbit = settled_on(curve, min(family.points, key=lambda point: abs(point.period - period)))
+        shortest = ends.shortest_step(run, SimpleNamespace(solution=orbit, stretch=2.0))
+        found.append((near_saddle(curve, orbit), any(passed(curve, orbit)), shortest))
+    usual = QUIET.shortest_step
+    assert found == [(False, False, usual), *2 * [(True, False, usual)], *2 * [(True, True, SLOW.step)]]
 
 
 def test_the_numbers_of_a_hopf_point_are_solved_for_again():

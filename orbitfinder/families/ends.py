@@ -18,7 +18,7 @@ from orbitfinder.families.point import LEAST, extents, freed, parameter_value
 from orbitfinder.families.rest import RestPoint, can_rest, rest_of, vanishing
 from orbitfinder.families.rest_problem import ROUND_OFF, first_lyapunov, regular
 from orbitfinder.families.run import Interval, Run, Walked, portrait
-from orbitfinder.families.saddles import SLOW, blown_up, near_saddle, rest_near, slowness
+from orbitfinder.families.saddles import SLOW, blown_up, held_up, near_saddle, rest_near, slowness
 from orbitfinder.families.start import return_gaps
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.loops.conditions import hyperplane
@@ -308,12 +308,11 @@ def _met(run: Run, step: Walked, failure: str) -> End | None:
 
 
 def shortest_step(run: Run, step: Walked) -> float:
-    """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
+    """How short a step may become: near a homoclinic orbit, which passes its saddle and round-off rules, not very."""
     curve, solution, usual = run.curve, step.solution, run.settings.shortest_step
     if curve.equations.model.forced or not step.stretch > SLOW.grown:
         return usual
-    share, state = slowness(curve, solution)
-    return SLOW.step if share > SLOW.share and near_saddle(curve, solution, state) else usual
+    return SLOW.step if slowness(curve, solution)[0] > SLOW.share and held_up(curve, solution) else usual
 
 
 def _settled(origin: FamilyPoint, before: FamilyPoint, after: FamilyPoint) -> bool:
@@ -346,12 +345,16 @@ def singularity(curve: Curve, solution: Solution, failure: str) -> End | None:
         where = np.array2string(states[np.argmax(beyond)], precision=6)
         return End("singularity", f"the motion comes near a singularity: beyond {where} its equations are not defined; "
                    f"{failure}")  # fmt: skip
-    if self_excited(curve):
-        return None  # their jumps are no singularities
+    if self_excited(curve) or (not model.forced and near_saddle(curve, solution)):
+        return (
+            None  # the jumps of the former are no singularities, nor is all that is fast beside the rest of the latter
+        )
     n, what = model.degrees_of_freedom, "acceleration" if model.rates is None else "rate"
     pushed = slopes[:, n:] / curve.shares if n < states.shape[1] else slopes / extents(curve, states)
     speed = np.linalg.norm(pushed, axis=1)
-    usual = float(np.median(np.interp(np.linspace(0, mesh[-1], speed.size), mesh, speed)))
+    # along the path and not in time, in which an orbit may be at rest
+    path = np.append(0.0, np.cumsum(np.sqrt(np.diff(states[:, :n], axis=0) ** 2 @ curve.weights[:n])))
+    usual = float(np.median(np.interp(np.linspace(0, path[-1], speed.size), path, speed)))
     if not speed.max() > SHRINKING.abrupt * usual:
         return None
     where = np.array2string(states[int(np.argmax(speed)), :n], precision=4, suppress_small=True)

@@ -82,12 +82,17 @@ def _speeds(curve: Curve, rates: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(rates**2 @ curve.weights[: curve.equations.size]))
 
 
-def near_saddle(curve: Curve, solution: Solution, state: np.ndarray) -> bool:
-    """Whether a state is near an equilibrium with a growing direction, relative to the extents of its motion.
+def near_saddle(curve: Curve, solution: Solution) -> bool:
+    """Whether an orbit is slowest near an equilibrium with a growing direction, relative to its extents.
 
     Without one, a slow and long orbit is no nearly homoclinic one.
     """
-    return _grows(solution, rest_near(curve, solution, state, SLOW.near)[1])
+    return _grows(solution, rest_near(curve, solution, slowness(curve, solution)[1], SLOW.near)[1])
+
+
+def held_up(curve: Curve, solution: Solution) -> bool:
+    """Whether an orbit is slowest near a saddle and, where it can rest, passes one: it is not of a canard."""
+    return near_saddle(curve, solution) and (not can_rest(curve) or any(passed(curve, solution)))
 
 
 def _grows(solution: Solution, eigenvalues: np.ndarray) -> bool:
@@ -138,7 +143,7 @@ def blown_up(run: Run, step: Walked, more: str = "") -> End | None:
     lasts = lasting(solution.place.period, system, 6)
     grown = f"the period blows up ({lasts}, {step.stretch:.3g} times the shortest)"
     known = list(passed(curve, solution)) if resting else []
-    if not near_saddle(curve, solution, state) or (resting and not known):  # of a canard: no saddle holds it up
+    if not held_up(curve, solution):
         return _saddle_node(run, step, state, grown, more) if resting else None
     energy = parameter_value(curve, solution.place, "energy")
     grown += (

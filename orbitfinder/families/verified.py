@@ -37,10 +37,10 @@ from orbitfinder.families.rest import can_rest, rest_of
 from orbitfinder.families.run import portrait
 from orbitfinder.families.saddles import (
     SLOW,
+    held_up,
     homoclinic_limit,
     near_saddle,
     noise_of,
-    passed,
     saddle_node_limit,
     slowness,
     told_apart,
@@ -430,10 +430,9 @@ def _limited(family: Family, _: Curve, end: End, at: FamilyPoint) -> Check:
 def _failed(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     """The last orbit has nothing of what a family ends in otherwise."""
     orbit, model = settled_on(curve, at), curve.equations.model
-    share, state = slowness(curve, orbit)
+    share = slowness(curve, orbit)[0]
     if at.period > SLOW.grown * min(point.period for point in _steps(family, at)) and share > SLOW.grown_share:
-        passing = not can_rest(curve) or any(passed(curve, orbit))
-        if not model.forced and passing and near_saddle(curve, orbit, state):
+        if not model.forced and held_up(curve, orbit):
             raise ConvergenceError("its period has grown beside a saddle, where families end homoclinic")
     elif not self_excited(curve) and (met := singularity(curve, orbit, end.reason)):
         raise ConvergenceError(met.reason)
@@ -504,7 +503,7 @@ def _blown_up(node: bool, many: bool, family: Family, curve: Curve, end: End, at
     """The period has grown; what orbits come near are equilibria (a saddle-`node`, or `many`) with these eigenvalues
     at the parameter, to which the family's own orbits go."""
     grown, orbit = at.period / float(family.values("period").min()), settled_on(curve, at)
-    if not end.saddles and not near_saddle(curve, orbit, slowness(curve, orbit)[1]):
+    if not end.saddles and not near_saddle(curve, orbit):
         raise ConvergenceError("the orbit is slowest near no saddle")
     states = [np.array(saddle["state"], float) for saddle in end.saddles or ()]
     apart = len(told_apart(curve, orbit, [(state, np.zeros(0)) for state in states]))
