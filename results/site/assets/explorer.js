@@ -12,7 +12,7 @@
   player.scrubber(function () { return picked < 0 ? 0 : items[picked].period; }, it.units.time);
 
   function unit(text, one) { return one ? text + ", " + one : text; }
-  var E = it.units.energy, S = it.units.time;
+  var E = it.units.energy, S = it.units.time, energetic = it.energetic !== false;
   var NAMES = { energy: unit(it.conserved ? "energy" : "energy at t = 0", E), frequency: unit("frequency", S && "1/" + S),
     period: unit("period", S), action: unit("action", it.units.action), amplitude: (it.curve ? "" : "amplitude of ") + safe(it.moved || ""),
     largest: "largest multiplier", value: safe(it.parameter), below: unit("energy below the highest", E),
@@ -96,7 +96,7 @@
   function label(k) {
     var one = items[k];
     return (one.event ? safe(one.event) + "<br>" : one.title ? safe(one.title) + "<br>" : "") +
-      unit("energy " + figure(one.energy, 7), E).replace(",", "") + "<br>" +
+      (energetic ? unit("energy " + figure(one.energy, 7), E).replace(",", "") + "<br>" : "") +
       unit("period " + figure(one.period, 7), S).replace(",", "") + "<br>" + safe(one.stability);
   }
 
@@ -219,7 +219,7 @@
     slider.value = shown.indexOf(k);
     var text = (shown.indexOf(k) + 1) + " of " + shown.length + (one.event ? ", " + one.event : "");
     part("item-text").textContent = text;
-    slider.setAttribute("aria-valuetext", text + ", energy " + figure(one.energy, 5) + " " + E + ", period " + figure(one.period, 5) + " " + S);
+    slider.setAttribute("aria-valuetext", text + (energetic ? ", energy " + figure(one.energy, 5) + " " + E : "") + ", period " + figure(one.period, 5) + " " + S);
     part("circle").style.visibility = one.multipliers && one.multipliers.length ? "visible" : "hidden";
     if (many) plots.redraw(plot); else ringed(lasting || 260);
     plots.redraw(part("circle"));
@@ -263,7 +263,7 @@
 
   function told(one) {
     var rows = [["Period", figure(one.period, 10) + " " + S]];
-    if (it.conserved || !one.event) rows.push([it.conserved ? "Energy" : "Energy at t = 0", figure(one.energy, 10) + " " + E]);
+    if (energetic && (it.conserved || !one.event)) rows.push([it.conserved ? "Energy" : "Energy at t = 0", figure(one.energy, 10) + " " + E]);
     if (family && it.parameter !== "energy" && it.parameter !== "period") rows.push([it.parameter, figure(one.value, 10)]);
     if (one.event) rows.unshift(["Event", one.event]);
     if (one.error) rows.push(["Error bar of " + it.parameter, figure(one.error, 2)]);
@@ -372,6 +372,7 @@
   part("save-csv").addEventListener("click", function () {
     var names = family ? ["energy", "period", "action", "closure", "value", "arclength", "stable", "largest"]
       : ["title", "key", "mechanism", "energy", "period", "action", "closure", "stability", "symmetry", "largest"];
+    if (!energetic) names = names.filter(function (name) { return name !== "energy" && name !== "action"; });
     var rows = [names.join(",")], count = family ? it.columns.energy.length : items.length;
     for (var k = 0; k < count; k++) {
       rows.push(names.map(function (name) {
