@@ -21,7 +21,7 @@ from orbitfinder.families.folder import directions
 from orbitfinder.families.joins import Invariance, agrees
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.rest import can_rest, rest_of
-from orbitfinder.families.saddles import SLOW, near_saddle, passed
+from orbitfinder.families.saddles import SLOW, slowness
 from orbitfinder.families.start import begin, curve_in, full_samples
 from orbitfinder.families.verified import settled_on, verified
 from orbitfinder.loops.symmetry import REFLECTION_MAP
@@ -652,16 +652,13 @@ def test_orbits_at_rest_beside_a_saddle_are_no_singularity():
 
 
 def test_only_orbits_that_pass_their_saddle_are_followed_in_long_steps_alone():
-    """Before that a family may turn sharply and go on: mode 2 of four links does, at 99 % of its saddle's energy."""
-    family = of.load_family(ROOT / "results" / "families" / "henon-heiles-straight" / "family.json")
-    curve, found = curve_in(family, build_model(family.system)), []
-    run = SimpleNamespace(curve=curve, settings=QUIET)
-    for period in (9.0, 11.0, 13.0, 20.0, 25.0):
-        orbit = settled_on(curve, min(family.points, key=lambda point: abs(point.period - period)))
-        shortest = ends.shortest_step(run, SimpleNamespace(solution=orbit, stretch=2.0))
-        found.append((near_saddle(curve, orbit), any(passed(curve, orbit)), shortest))
-    usual = QUIET.shortest_step
-    assert found == [(False, False, usual), *2 * [(True, False, usual)], *2 * [(True, True, SLOW.step)]]
+    """Before that a family may turn sharply and go on: one of three links did, 0.2 J below its saddle."""
+    for name, k, shortest in (("triple-1", 0, QUIET.shortest_step), ("henon-heiles-straight", -1, SLOW.step)):
+        family = of.load_family(ROOT / "results" / "families" / name / "family.json")
+        curve = curve_in(family, build_model(family.system))
+        step = SimpleNamespace(solution=settled_on(curve, family.points[k]), stretch=2.0)
+        assert slowness(curve, step.solution)[0] > SLOW.share
+        assert ends.shortest_step(SimpleNamespace(curve=curve, settings=QUIET), step) == shortest
 
 
 def test_the_numbers_of_a_hopf_point_are_solved_for_again():
