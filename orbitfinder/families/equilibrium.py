@@ -180,7 +180,8 @@ class Equilibria(Tabled):
         counts = [(k, point, growing(point)) for k, point in enumerate(self.points) if point.stability != "neutral"]
         changes, sentences = {"fold": (-1, 1), "branch_point": (-1, 0, 1), "hopf": (-2, 2)}, list[str]()
         for (i, before, (least, most)), (j, after, (fewest, greatest)) in pairwise(counts):
-            reached = {0}
+            # the branch point that a curve was switched to at is its parent's event
+            reached = {-1, 0, 1} if before.arclength * after.arclength < 0 else {0}
             for event in self.events:
                 if i <= event.index < j:
                     reached = {more + change for more in reached for change in changes.get(event.kind, (0,))}
