@@ -351,6 +351,8 @@ def test_other_equilibria_leave_at_branch_points(tmp_path):
     first = of.follow_equilibria(crossing, [0.0], "r", until=1.0)
     other = of.follow_equilibria(of.switch_branch(first, 0, model=crossing), points=10)
     assert max(abs(point.state[0] - point.value) for point in other.points) < 1e-13
+    assert not other.unknown and {point.stability for point in other.points} >= {"unstable"}
+    assert len({point.stability for point in other.points}) > 1  # changes at the parent's event
     with pytest.raises(InputError, match="state: missing; give follow_equilibria"):
         of.follow_equilibria(crossing)
 
