@@ -41,6 +41,17 @@ def test_a_slow_state_counts(rate, off):
     assert off or certificate.passed
 
 
+@pytest.mark.parametrize("off", [0.0, 2e-8, 1e-7, -4e-7])
+def test_a_gap_elsewhere_excuses_no_slow_state(off):
+    """y' = 20 (x - y) leaves a gap of 1.7e-13, z' = -1e-12 (z - 1) one of 7e-12 times what it is off."""
+    model = beside({"y": "20*(x-y)", "z": "-(1e-12)*(z-1)"})
+    settled = of.simulate(model, [*CYCLE, 0.0, 1.0], 3 * PERIOD).states[-1]
+    certificate = certify(flat(model, [*CYCLE, settled[2], 1.0 + off], PERIOD), model)
+    distance = check(certificate, "distance")
+    assert distance.passed == (off == 0.0) and (off == 0.0 or distance.value > abs(off) / 2)
+    assert off or certificate.passed
+
+
 @pytest.mark.parametrize("rate", ["1e-9", "1e-12", "1e-17"])
 def test_what_a_further_condition_fixes_does_not_count_across_it(rate):
     """How well the least determined direction is known says nothing of the others: of z, nothing of x and v."""

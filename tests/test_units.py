@@ -303,7 +303,7 @@ OTHERS = [(2.0, 1.0, 1.0), (1024.0, 1.0, 1.0), (1.0, 1 / 64, 4096.0), (7.0, 1.0,
 
 @pytest.mark.parametrize("units", OTHERS)
 def test_the_finders_program_of_a_mechanical_model_is_one_in_all_units(units):
-    """Start, bounds, weights and rows: the same bits for powers of two; no step leaves the period of the forcing."""
+    """Start, bounds and rows: the same bits for powers of two; no step leaves the period of the forcing."""
 
     def program(length, time, mass):
         guess = of.Guess([0.3 * length, 0.1 * length / time], 2 * np.pi / 1.2 * time)

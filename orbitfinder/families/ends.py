@@ -345,10 +345,9 @@ def singularity(curve: Curve, solution: Solution, failure: str) -> End | None:
         where = np.array2string(states[np.argmax(beyond)], precision=6)
         return End("singularity", f"the motion comes near a singularity: beyond {where} its equations are not defined; "
                    f"{failure}")  # fmt: skip
+    # jumps of relaxation oscillations are no singularities, nor is a swing that is fast beside a rest at a saddle
     if self_excited(curve) or (not model.forced and near_saddle(curve, solution)):
-        return (
-            None  # the jumps of the former are no singularities, nor is all that is fast beside the rest of the latter
-        )
+        return None
     n, what = model.degrees_of_freedom, "acceleration" if model.rates is None else "rate"
     pushed = slopes[:, n:] / curve.shares if n < states.shape[1] else slopes / extents(curve, states)
     speed = np.linalg.norm(pushed, axis=1)

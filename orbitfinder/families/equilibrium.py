@@ -179,9 +179,9 @@ class Equilibria(Tabled):
         """Between which points the number of growing eigenvalues changes as no event there explains, in sentences."""
         counts = [(k, point, growing(point)) for k, point in enumerate(self.points) if point.stability != "neutral"]
         changes, sentences = {"fold": (-1, 1), "branch_point": (-1, 0, 1), "hopf": (-2, 2)}, list[str]()
+        branch = all(point.arclength for point in self.points)  # begins between two, at its parent's branch point
         for (i, before, (least, most)), (j, after, (fewest, greatest)) in pairwise(counts):
-            # the branch point that a curve was switched to at is its parent's event
-            reached = {-1, 0, 1} if before.arclength * after.arclength < 0 else {0}
+            reached = {-1, 0, 1} if branch and before.arclength * after.arclength < 0 else {0}
             for event in self.events:
                 if i <= event.index < j:
                     reached = {more + change for more in reached for change in changes.get(event.kind, (0,))}

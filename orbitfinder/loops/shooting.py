@@ -17,6 +17,7 @@ from orbitfinder.loops.problem import Problem, loop_of
 from orbitfinder.mechanics import scales
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.hybrid import freed, saltation, share
+from orbitfinder.mechanics.model import Model
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
         far = far_end(problem, nodes, flow)
     else:
         guess, far = nodes, equations.links.passed(nodes, equations.ends(nodes))[0][-1]
-    units, own, phases = _units(flow, guess)
+    units, own, phases = _units(problem.model, flow, guess)
     even = bool(np.all(units == 1.0))
     loop = loop_of(problem, equations, guess, far, problem.pin, phases)
     scaled = guess.symbols()
@@ -154,10 +155,13 @@ def units_of(problem: Problem) -> tuple[float, ...]:
     return scales.units_of(problem.model, states, guess.period, scales.base_of(problem.model))
 
 
-def _units(flow: Flow, guess: Unknowns) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Units of every entry of w: those of the motion itself where it shows them, else, and for the distance to the
-    guess, the flow's for nodes and period, 1 / period, the freed parameters' own sizes; and units of phases (d)."""
-    model, turn, sizes = flow.model, guess.period / (2 * np.pi), np.where(guess.free == 0, 1.0, np.abs(guess.free))
+def _units(model: Model, flow: Flow, guess: Unknowns) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Units of every entry of w, units of the distance to the guess, and those (d) of phase conditions.
+
+    Nodes and period are in the flow's units, freed parameters in their own sizes. Of a motion that shows its sizes w is
+    in these themselves and phases are in powers of 256.
+    """
+    turn, sizes = guess.period / (2 * np.pi), np.where(guess.free == 0, 1.0, np.abs(guess.free))
     own, base = np.ones(guess.vector.size), scales.base_of(model)
     if flow.units:
         clock = float(scales.snapped(turn, base))

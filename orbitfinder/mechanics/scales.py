@@ -243,8 +243,8 @@ def units_of(model: Model, states: np.ndarray, period: float, base: float = COAR
     """What a state (2n) is measured in: powers of 256 near the lengths and the time of a motion (k x 2n); () is 1.
 
     Lengths are max(|q|, |v| tau), tau = T / 2 pi, the largest over all angles and over all others, or |a| tau^2 where
-    that is 0. Lengths and time are powers of a `base`; where that is 0, tau itself, 1 for angles and a quarter of the
-    other lengths, so that the finder's steps, which end at so many units, are those of a motion of some units.
+    that is 0. Another `base` than 256 rounds time and lengths that are no angles' to its own powers. Base 0 rounds
+    nothing: time is tau, angles are in rad, and the unit of length is a quarter of the largest.
     """
     clock, n = period / (2 * np.pi), model.degrees_of_freedom
     if model.constraint is not None and base:  # integrated by IDAS

@@ -45,15 +45,15 @@ ROUND_OFF = 30.0
 @dataclass(frozen=True)
 class Closure:
     """The largest component of the gap in extents of the motion, A, the distance to the true orbit, gap and A of the
-    `worst` part of the state that nothing else drives, which may be the whole, the relative error of the period, and
-    the distance `across` the direction that is determined least, for an orbit that a further condition fixes."""
+    `worst` part of the state that nothing else drives, which may be the whole, the distance `across` the direction
+    that is determined least, for an orbit that a further condition fixes, and the relative error of the period."""
 
     gap: float
     amplification: float
     distance: float
     worst: tuple[float, float]
+    across: float
     period_error: float = 0.0
-    across: float = np.inf
 
 
 def closes(
@@ -81,7 +81,7 @@ def closes(
     free, basis = unit[stays & (gap == 0)], unit if basis is None else basis
     frame = basis @ complement(free @ basis, (free if kept is None else kept) @ basis)
     off, across = distance(frame.T @ gap, (-frame.T, frame.T), transitions, states, rate)
-    return Closure(widest, whole[1], off, worst, late, across)
+    return Closure(widest, whole[1], off, worst, across, late)
 
 
 def _late(gap: np.ndarray, carried: tuple[np.ndarray, float], rate: np.ndarray, kept: np.ndarray) -> float:

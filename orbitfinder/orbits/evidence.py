@@ -679,7 +679,7 @@ def _beside(
     largest = max(float(np.linalg.norm(piece)) for piece in in_extents(pieces, units))
     whole = np.vstack([*path, first])
     told = replace(motion, transitions=pieces, begins=np.array(begins), path=whole, states=equations.states(whole))
-    return told, Closure(apart, largest, apart, (apart, largest), across=apart)
+    return told, Closure(apart, largest, apart, (apart, largest), apart)
 
 
 def _divergence(equations: Hamiltonian, motion: Motion, units: np.ndarray) -> tuple[float, float]:

@@ -378,7 +378,7 @@ def gathered(model: Model, state: np.ndarray, period: float, damped: bool = Fals
     if proof.rate > 0:
         paces, gap, grown = np.repeat([1.0, motion.pace], n), float(np.abs(missed).max()), max(float(sizes.max()), 1.0)
         off = proof.distance((states[-1] - states[0]) / paces, units / paces)
-        closure, scaled = Closure(gap, grown, off, (gap, grown), across=off), []
+        closure, scaled = Closure(gap, grown, off, (gap, grown), off), []
         floquet = Floquet(np.zeros(0, complex), 0.0, kept, "asymptotically stable")
     else:
         scaled = [piece * units / units[:, None] for piece in pieces]

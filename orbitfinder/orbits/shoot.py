@@ -219,8 +219,9 @@ def _shot_again(
     """The same from a better guess, where there is one; raises the first error where there is none."""
     interrupt.check()  # CasADi makes a failed search of Ctrl-C
     try:
-        forced, near = problem.model.forced and problem.model.constraint is None, problem.guess
-        guess = next(cycles(problem.model, near, near, stiff=True), None) if forced else balanced_guess(problem)
+        model, near = problem.model, problem.guess
+        settles = model.forced and model.constraint is None and near.trajectory is None
+        guess = next(cycles(model, near, near, stiff=True), None) if settles else balanced_guess(problem)
         if guess is None:
             raise error
         return _shot(replace(problem, guess=guess), flow, settings, report)
