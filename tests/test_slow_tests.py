@@ -1,6 +1,7 @@
 """benchmarks/slow_tests.py: what pytest prints is read, runs are kept, the budget of the quick tests holds."""
 
 import sys
+import time
 import tomllib
 from pathlib import Path
 
@@ -46,6 +47,21 @@ def test_a_part_begins_with_what_waited_longest():
     counts = {"test_a.py": 3, "test_b.py": 1, "test_c.py": 1, "test_d.py": 40}
     assert slow_tests.waiting(counts, journal, 30.0) == ["test_c.py", "test_a.py", "test_b.py"]
     assert slow_tests.waiting(counts, journal, 12.0) == ["test_c.py", "test_b.py"]
+    ended = {**FAILED, "file": "test_d.py", "seconds": 12, "result": slow_tests.ENDED}
+    assert slow_tests.waiting({"test_d.py": 1}, [ended], 12.0) == []
+    assert slow_tests.waiting({"test_d.py": 1}, [ended], 24.0) == ["test_d.py"]
+
+
+def test_what_takes_too_long_is_ended_with_all_that_it_started(monkeypatch, tmp_path):
+    """No process of a test is left behind."""
+    program, left = tmp_path / "python", tmp_path / "left"
+    program.write_text(f"#!/bin/sh\n(sleep 0.5; touch '{left}') &\nwait\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(slow_tests.sys, "executable", str(program))
+    assert slow_tests.pytest(limit=0.1) == ""
+    time.sleep(0.6)
+    assert not left.exists()
+    assert slow_tests.pytest(limit=10.0) == "" and left.exists()
 
 
 def test_what_is_above_its_budget_is_named():
