@@ -76,7 +76,7 @@ def commit() -> str:
 def measured(file: str, count: int, limit: float) -> dict[str, Any]:
     """A line of the journal: seconds with fixtures, the longest test, and the result."""
     printed = pytest(f"tests/{file}", "--durations=0", "--durations-min=0", limit=limit)
-    entry = read(printed) if printed else {"seconds": limit, "longest": "", "result": ENDED, "passed": False}
+    entry = read(printed) if printed else {"seconds": round(limit), "longest": "", "result": ENDED, "passed": False}
     kernels = os.environ.get("OPENBLAS_CORETYPE", "")
     return {"file": file, "tests": count, "commit": commit(), "kernels": kernels, **entry}
 
