@@ -83,13 +83,27 @@ def test_an_atlas_is_proved_in_shards_that_share_nothing(monkeypatch):
 
 
 def test_a_contraction_is_a_bound():
-    """Not less than the one found, but for what older series left out, and below 1."""
+    """Not less than the one found, but for what other series leave out, and below 1."""
     for fresh in (1e-7, 0.12, 0.67):
         assert all(bounding(recorded, fresh) for recorded in (fresh, fresh * (1 - 1e-8), 1.4 * fresh, 0.999))
         assert not any(
             bounding(recorded, fresh) for recorded in (0.6 * fresh, 0.94 * fresh, 1.0, 1.34, 0.0, -1.0, None)
         )
     assert bounding(1e-16, 3e-16)  # of a linear system all of it is round-off
+
+
+@pytest.mark.slow
+def test_a_record_of_another_version_has_its_own_bound_of_the_contraction():
+    """Within three tenths of the one found, for its series and steps are others; of this version a twentieth."""
+    file = RESULTS / "proofs" / "gaits" / "rimless-wheel.json"
+    orbit = load_orbit(file)
+    recorded = read_entry(orbit, file)
+    (found,) = replay(orbit, {**recorded, "contraction": 0.0})[1]
+    most = float(found.rpartition(" ")[2])
+    for share, version, passed in ((0.8, "0.1.0", True), (0.7, "0.1.0", False), (0.8, None, False), (0.97, None, True)):
+        older = {} if version is None else {"versions": {"orbitfinder": version}}
+        wrong = replay(orbit, {**recorded, **older, "contraction": share * most})[1]
+        assert [one.partition(":")[0] for one in wrong] == ["contraction"] * (not passed), (share, version, wrong)
 
 
 @pytest.mark.slow
