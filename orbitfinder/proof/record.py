@@ -226,9 +226,9 @@ def close(recorded: Any, fresh: float, factor: float = 2.0) -> bool:
 def bounding(recorded: Any, fresh: float, share: float = 0.05, rounded: float = 1e-12) -> bool:
     """True for a contraction below 1 and not below what is found; a wider bound is true as well.
 
-    By other series and steps it is another bound of the same norm, so that a `share` is allowed. On another processor C,
-    a float inverse, is another, which changes it by 2e-8, or wholly where derivatives hardly change over the box and it
-    is `rounded` off from 1 - 1.
+    By other series and steps it is another bound of the same norm, so that a `share` is allowed. On another processor
+    C, a float inverse, is another, which changes it by 2e-8, or wholly where derivatives hardly change over the box and
+    it is `rounded` off from 1 - 1.
     """
     return isinstance(recorded, (int, float)) and fresh <= (1 + share) * recorded + rounded and recorded < 1
 
