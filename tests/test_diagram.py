@@ -333,11 +333,14 @@ def test_messages(change, message):
 
 
 def test_files_that_are_none(nerve, tmp_path):
-    """A curve that is missing or elsewhere, a word that is none."""
+    """A curve that is missing or elsewhere, no range, a word that is none."""
     document = json.loads((nerve[1] / "diagram.json").read_text())
     file = tmp_path / "diagram.json"
     file.write_text(json.dumps(document))
     with pytest.raises(InputError, match=r"equilibria.json.*"):
+        of.load_diagram(file)
+    file.write_text(json.dumps(document | {"between": [50.0, 50.0]}))
+    with pytest.raises(InputError, match="between: begins and ends at I 50; make the diagram again"):
         of.load_diagram(file)
     changes = [("curves", "file", "../equilibria/equilibria.json", "is not NAME/equilibria.json or NAME/family.json"),
                ("curves", "file", "equilibria/other.json", "is not NAME/equilibria.json or NAME/family.json"),

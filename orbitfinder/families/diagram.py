@@ -270,6 +270,10 @@ def load_diagram(path: str | Path) -> BifurcationDiagram:
         ['equilibria/equilibria.json', 'equilibria-0/family.json']
     """
     bare, home = CODEC.load(path), Path(path).parent
+    if bare.between[0] == bare.between[1]:
+        raise InputError(
+            f"{path}: between: begins and ends at {bare.parameter} {bare.between[0]:g}; make the diagram again"
+        )
     read = [replace(curve, record=FILES[Path(curve.file).name](home / curve.file)) for curve in bare.curves]
     return replace(bare, curves=tuple(read))
 
