@@ -779,3 +779,11 @@ def test_a_small_motion_keeps_its_energy_as_far_as_its_closures_hold():
     """Of 2e-14 J that drift, 5e-7 J of motion and 0.2 J in all: bars keep their lengths to round-off, and pull."""
     orbit = of.find_orbit(load_problem(Path(__file__).parent / "data" / "three-rrr.toml"))
     assert orbit.certificate.passed, orbit.certificate.failures
+
+
+def test_a_disc_in_space_needs_no_inertia():
+    """A point mass that is drawn as a disc, stated in Python: a file's reader fills the field in."""
+    bob = {"mass": 1.0, "com": [1.0, 0.0, 0.0], "disc": 0.05}
+    hook = {"kind": "universal", "between": ["ground", "bob"], "axes": [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]}
+    made = of.mechanism({"bob": bob}, {"hook": hook}, dimension=3, gravity=[G, 0.0, 0.0], pose={"hook2": 0.5})
+    assert made.state_names == ("hook1", "hook2", "hook1dot", "hook2dot")

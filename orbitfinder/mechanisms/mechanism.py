@@ -1001,7 +1001,7 @@ def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], 
     for name, table in made.tables("bodies").items():
         com = made.coms[name]
         if "disc" in table:
-            axle = int(np.argmax(table["inertia"])) if made.dimension == 3 else 2  # a disc is heaviest about its axle
+            axle = int(np.argmax(table.get("inertia", 0.0))) if made.dimension == 3 else 2  # heaviest about its axle
             rims = [ca.densify(com) + float(table["disc"]) * _eye()[:, k] for k in range(3) if k != axle]
             seen = (com, *rims) if made.dimension == 3 else (com, rims[0])
             strokes.append(("disc", tuple(place(name, at) for at in seen)))
