@@ -356,7 +356,7 @@ def _smooth_checks(trial: Trial) -> Iterator[Check | None]:
     passing = ROUND_OFF * EPSILON * min(seen.growth, LARGEST_GROWTH)
     taken = ROUND_OFF * EPSILON * min(seen.varied / nonzero(seen.norm), LARGEST_SCALE**2)
     still = float(np.abs(seen.motion.path / seen.tour.units).min(axis=0).max())  # steps are taken to shares of it
-    rough = VARIED.relative_tolerance * max(PAIRED * still * seen.varied / nonzero(seen.norm), seen.growth)
+    rough = PAIRED * VARIED.relative_tolerance * still * seen.varied / nonzero(seen.norm)
     kept = max(allowed.trivial, passing, taken, min(rough, allowed.multipliers))
     near, moving = _Nearby(model, seen), "" if orbit.shift else reduction(model, orbit)
     yield from trial.closing(f"DOP853 on {seen.motion.formulation}; ")
