@@ -467,11 +467,11 @@ def test_a_backbone_is_near_the_free_motions():
 
 def row(count, mode, amplitude):
     """A mode of masses between walls, springs of force d + d^3, with an amplitude of the first mass."""
-    rows = sparse.diags_array([-np.ones(count - 1), 2 * np.ones(count), -np.ones(count - 1)], offsets=[-1, 0, 1])
+    rows = sparse.diags([-np.ones(count - 1), 2 * np.ones(count), -np.ones(count - 1)], offsets=[-1, 0, 1])
     springs = {f"s{i}": {"kind": "cubic", "at": f"q{i}", "to": f"q{i - 1}", "stiffness": 1.0}
                for i in range(2, count + 1)}  # fmt: skip
     springs |= {at: {"kind": "cubic", "at": at, "stiffness": 1.0} for at in ("q1", f"q{count}")}
-    model = of.structure(sparse.eye_array(count), None, rows, springs)
+    model = of.structure(sparse.eye(count), None, rows, springs)
     shape = np.sin(np.pi * mode / (count + 1))
     guess = of.guesses.normal_mode(model, mode, amplitude / shape)
     return of.Problem(model, guess, of.pin(q1=amplitude), name="row", method="balance")

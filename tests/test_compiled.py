@@ -61,9 +61,11 @@ def fresh(tmp_path, monkeypatch):
     return tmp_path / "cache" / "compiled"
 
 
-def example(factor: float = 2.0) -> ca.Function:
+def example(factor: float | None = None) -> ca.Function:
+    """A function in C; without a factor there is no number in it (CasADi 3.6 writes 2 as one)."""
     x = ca.SX.sym("x", 3)
-    return ca.Function("example", [x], [ca.sin(x) * factor + x[0] / x[1], ca.dot(x, x)], ["x"], ["y", "z"])
+    y = ca.sin(x) if factor is None else ca.sin(x) * factor
+    return ca.Function("example", [x], [y + x[0] / x[1], ca.dot(x, x)], ["x"], ["y", "z"])
 
 
 def forget(monkeypatch) -> None:
@@ -279,7 +281,7 @@ def test_key_depends_on_everything(monkeypatch, fresh):
 
 def test_a_compiler_that_has_begun_is_waited_for(monkeypatch, fresh):
     """A library that was begun is made by that compiler and compared as any other; what nobody asks for goes."""
-    for factor in (2.0, 3.0):
+    for factor in (None, 3.0):
         rooms.begin(lambda factor=factor: rooms.casadi_code(example(factor)), None)
     assert len(list(fresh.glob("making-*"))) == 2
     monkeypatch.setattr(rooms, "_compiling", None)  # no other compiler is started
