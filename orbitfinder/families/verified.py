@@ -32,14 +32,13 @@ from orbitfinder.families.ends import (
 )
 from orbitfinder.families.entries import kind_of
 from orbitfinder.families.minimal import dead_point
-from orbitfinder.families.point import extents, growth, parameter_value, unknowns_of
+from orbitfinder.families.point import FamilySettings, extents, growth, parameter_value, unknowns_of
 from orbitfinder.families.rest import can_rest, rest_of
 from orbitfinder.families.run import portrait
 from orbitfinder.families.saddles import (
     SLOW,
     held_up,
     homoclinic_limit,
-    near_saddle,
     noise_of,
     saddle_node_limit,
     slowness,
@@ -430,8 +429,11 @@ def _limited(family: Family, _: Curve, end: End, at: FamilyPoint) -> Check:
 def _failed(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     """The last orbit has nothing of what a family ends in otherwise."""
     orbit, model = settled_on(curve, at), curve.equations.model
-    share = slowness(curve, orbit)[0]
-    if at.period > SLOW.grown * min(point.period for point in _steps(family, at)) and share > SLOW.grown_share:
+    share, shortest = slowness(curve, orbit)[0], min(point.period for point in _steps(family, at))
+    dead = dead_point(model, orbit.march.states, at.free)
+    if dead and at.period < FamilySettings.longest_period * shortest:
+        raise ConvergenceError(f"{dead}, where families end in a dead point")
+    if at.period > SLOW.grown * shortest and share > SLOW.grown_share:
         if not model.forced and held_up(curve, orbit):
             raise ConvergenceError("its period has grown beside a saddle, where families end homoclinic")
     elif not self_excited(curve) and (met := singularity(curve, orbit, end.reason)):
@@ -440,8 +442,10 @@ def _failed(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
 
 
 def _singular(_: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
-    """The motion is somewhere so much faster than elsewhere."""
-    return equal(end.kind, singularity(curve, settled_on(curve, at), "") is None, 0.0, end.reason)
+    """The motion is somewhere so much faster than elsewhere, and its coordinates do not end there."""
+    orbit = settled_on(curve, at)
+    dead = dead_point(curve.equations.model, orbit.march.states, at.free)
+    return equal(end.kind, bool(dead) or singularity(curve, orbit, "") is None, 0.0, end.reason)
 
 
 def _dead(_: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
@@ -503,8 +507,8 @@ def _blown_up(node: bool, many: bool, family: Family, curve: Curve, end: End, at
     """The period has grown; what orbits come near are equilibria (a saddle-`node`, or `many`) with these eigenvalues
     at the parameter, to which the family's own orbits go."""
     grown, orbit = at.period / float(family.values("period").min()), settled_on(curve, at)
-    if not end.saddles and not near_saddle(curve, orbit):
-        raise ConvergenceError("the orbit is slowest near no saddle")
+    if not end.saddles and not held_up(curve, orbit):
+        raise ConvergenceError("the orbit is slowest near no saddle that it passes")
     states = [np.array(saddle["state"], float) for saddle in end.saddles or ()]
     apart = len(told_apart(curve, orbit, [(state, np.zeros(0)) for state in states]))
     if (end.saddles is None) != (end.parameter is None):
