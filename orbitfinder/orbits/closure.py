@@ -150,7 +150,7 @@ def distance(
     size = np.where(still(states), np.abs(later[-1] - np.eye(size.size)) @ size / SHAKEN, size)
     hidden = np.max([np.linalg.norm(left.T @ last @ after * size, axis=1) for after in later], axis=0)
     along = np.abs(left.T @ gap)  # of which the error of the columns tilts so much from the others
-    excused = min(ROUND_OFF * LARGEST_SCALE, grown * float(np.linalg.norm(along / nonzero(singular))))
+    excused = min(ROUND_OFF * LARGEST_SCALE, grown * float(np.hypot.reduce(along / nonzero(singular))))
     beyond = np.maximum(along - EPSILON * excused, 0.0) + SHAKEN * EPSILON * hidden
     known = singular - MATRIX * grown
     steps = np.divide(beyond, known, out=np.full(known.shape, np.inf), where=known > 0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
-from orbitfinder._runtime.sizes import nonzero
+from orbitfinder._runtime.sizes import EPSILON, nonzero
 from orbitfinder.errors import InputError, plural
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.integrate.idas import simulate_dae
@@ -20,6 +20,8 @@ from orbitfinder.orbits.guesses.modes import normal_mode, normal_modes
 
 MOST_SAMPLES = 3000
 """Samples of a trajectory that are compared with each other, in all pairs."""
+ROUND_OFF = 8 * EPSILON
+"""Differences of samples are known to this share of the samples"""
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,8 @@ def close_returns(
     inner = table[1:-1]  # entries that are not above their neighbours in the row's direction
     rows, columns = np.nonzero((inner <= table[:-2]) & (inner <= table[2:]))
     rows += 1
-    for k in np.argsort(table[rows, columns]):
+    rounded = ROUND_OFF * float((np.abs(states).max(axis=0) / extent).max())  # of equals the shortest is first
+    for k in np.argsort(np.maximum(table[rows, columns], rounded), kind="stable"):
         row, column = int(rows[k]), int(columns[k])
         if table[: row + 1, column].max() < max(RETURNS.away, 3 * table[row, column]):
             continue
