@@ -34,6 +34,7 @@ from orbitfinder.integrate.compiled import (
     surroundings,
 )
 from orbitfinder.integrate.evaluate import Buffered
+from orbitfinder.integrate.held import shared
 
 VectorField = Callable[[float, np.ndarray], np.ndarray]
 TOGETHER, MANY = (64, 1024), 640
@@ -83,7 +84,7 @@ class Library:
     """A field with its integrator, as compiled."""
 
     def __init__(self, path: Path) -> None:
-        library = ctypes.CDLL(str(path))
+        library = shared(path)
         self._dop853, self._rates = library.dop853, library.rates
         self._stepped, self._strayed = library.stepped, library.strayed
         self._dop853.argtypes = [ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_void_p, ctypes.c_void_p]

@@ -10,12 +10,14 @@ a library's memory is that of its file. The instructions are those of constants 
 
 from __future__ import annotations
 
+import _ctypes
 import contextlib
 import ctypes
 import os
 import re
 import shutil
 import tempfile
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -65,24 +67,39 @@ def holding(path: Path, numbers: np.ndarray) -> Iterator[Path]:
     if not numbers.size:
         yield path
     elif _held.setdefault(path, numbers.tobytes()) == numbers.tobytes():
-        yield _filled(path, numbers)
+        kept = _filled(path, numbers)
+        yield path
+        del kept
     else:
         handle, name = tempfile.mkstemp(prefix="making-", suffix=".so", dir=path.parent)
         os.close(handle)
         copy = Path(name)
         try:
             shutil.copy(path, copy)
-            yield _filled(copy, numbers)
+            kept = _filled(copy, numbers)
+            yield copy
+            del kept
         finally:
             with contextlib.suppress(OSError):  # Windows keeps what is loaded, until it is stale
                 copy.unlink()
 
 
-def _filled(path: Path, numbers: np.ndarray) -> Path:
+def _filled(path: Path, numbers: np.ndarray) -> ctypes.CDLL:
+    """A library that holds these numbers, for as long as it is open."""
     try:
-        hold = ctypes.CDLL(str(path)).hold
+        opened = shared(path)
+        hold = opened.hold
     except (OSError, AttributeError) as error:
         raise ValueError(f"the library cannot be loaded: {error}") from None
     hold.argtypes, hold.restype = [ctypes.c_void_p], None
     hold(numbers.ctypes.data)
-    return path
+    return opened
+
+
+def shared(path: Path) -> ctypes.CDLL:
+    """A shared library, closed when neither it nor a function of it is referred to: ctypes would keep it for good, and
+    with each set of numbers 40 kB more."""
+    opened = ctypes.CDLL(str(path))
+    if close := getattr(_ctypes, "dlclose", None):  # Windows keeps what is loaded
+        weakref.finalize(opened, close, opened._handle).atexit = False
+    return opened

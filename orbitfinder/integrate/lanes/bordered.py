@@ -10,6 +10,7 @@ import numpy as np
 
 from orbitfinder._runtime import limit
 from orbitfinder.integrate.compiled import attempted, library, mode, surroundings
+from orbitfinder.integrate.held import shared
 from orbitfinder.integrate.lanes.kernel import source
 
 
@@ -73,7 +74,7 @@ def _made(*_: str | None) -> ctypes.CDLL | None:
 
 
 def _opened(path: Path) -> ctypes.CDLL:
-    opened = ctypes.CDLL(str(path))
+    opened = shared(path)
     opened.prepared.argtypes = [ctypes.c_void_p] * 6
     opened.stepped.argtypes = [ctypes.c_void_p] * 8
     opened.stepped.restype = None

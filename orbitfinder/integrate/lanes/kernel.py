@@ -22,6 +22,7 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import LEAST
 from orbitfinder.integrate.compiled import LIMITS, Unavailable, attempted, begin, library, mode, surroundings, worth_it
+from orbitfinder.integrate.held import shared
 from orbitfinder.integrate.lanes.emit import field_code, scalars
 from orbitfinder.integrate.lanes.factors import SparseSlopes, sparse_slopes
 from orbitfinder.integrate.rk8 import directional_field, step_of, variational_field
@@ -114,7 +115,7 @@ class Kernel:
 
     def _opened(self, path: Path, new: bool) -> ctypes.CDLL:
         """A library loaded and, when new, compared with the interpreter."""
-        opened = ctypes.CDLL(str(path))
+        opened = shared(path)
         opened.march.argtypes = SIGNATURE
         if hasattr(opened, "evaluated"):  # what has no variations
             opened.evaluated.argtypes = [ctypes.c_ssize_t, ctypes.c_int, *[ctypes.c_void_p] * 4]
