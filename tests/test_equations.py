@@ -1,4 +1,4 @@
-"""Equations as text, XPPAUT's files, AUTO's solutions: the same numbers as from Python, and no harm from any text."""
+"""Equations as text, AUTO's solutions: the same numbers as from Python, and no harm from any text."""
 
 import json
 import math
@@ -235,7 +235,7 @@ HOSTILE = [
     ("9" * 1999, "no finite real number"), ("(-8)**0.5", "no finite real number"), ("1/0", "no finite real number"),
     ("(" * 900 + "x" + ")" * 900, "no expression"), ("-" * 1900 + "x", "nested too deeply"),
     ("sin(" * 80 + "x" + ")" * 80, "nested too deeply"), ("foo(" + "-" * 1900 + "x)", "is not allowed"),
-    ("x" * 2001, "at most 2000 letters"), ("", "must be an expression"), (" \n ", "must be an expression"),
+    ("x" * 20_001, "at most 20000 letters"), ("", "must be an expression"), (" \n ", "must be an expression"),
     ("x +", "no expression"), ("(x", "no expression"), ("x)", "no expression"), ("2x", "no expression"),
     ("x y", "no expression"), ("x # and", "without comments"), ("x; y", "no expression"), ("a := x", "no expression"),
     ("x.real", "'x.real' is not allowed"), ("x.__class__.__mro__", "is not allowed"), ("x[0]", "is not allowed"),
@@ -350,98 +350,48 @@ def test_a_state_alone_is_for_equilibria(tmp_path):
     assert made.exit_code == 2 and "guess.state: 1 number for 1 coordinate; give 2" in made.output
 
 
-# ------------------------------------------------------------------------------------------------------ XPPAUT
+# ------------------------------------------------------------------------------------------------------ resets
+
+NEURON = {"v": "0.04*v^2 + 5*v + 140 - u + I", "u": "a*(b*v - u)"}
+VALUES = {"a": 0.02, "b": 0.2, "c": -65.0, "d": 8.0, "I": 10.0}
+SPIKE = {"guard": "v - 30", "direction": 1, "reset": {"v": "c", "u": "u + d"}}
 
 
-def test_an_xppaut_file_is_the_same_neuron(tmp_path):
-    """Rates to the last bits, its initial state, and the Hopf points of road.json from the file by the command."""
-    model, own = of.from_xpp(DATA / "morris-lecar.ode"), model_of("morris-lecar")
-    assert model.state_names == ("V", "w") and model.landmarks["init"] == (-60.0, 0.01)
-    assert model.parameter_names == ("I", "gca", "gk", "gl", "phi", "c")  # numbers are fixed, names as they are defined
-    for state in np.random.default_rng(1).normal(size=(20, 2)) * [30, 1]:
-        assert model.rates(0, state, model.parameter_values).full() == pytest.approx(
-            own.rates(0, state, own.parameter_values).full(), rel=1e-14
-        )
-    made = followed(DATA / "morris-lecar.ode", "I", 250, tmp_path)
-    assert made.exit_code == 0, made.output
-    wanted = [float(hopf["parameter"]) for hopf in ROAD["eq-ml-hopf-class"]["values"]["hopf"]]
-    assert [event["parameter"] for event in json.loads(made.stdout)["events"]] == pytest.approx(wanted, rel=1e-12)
-    assert command("verify", tmp_path / "morris-lecar" / "equilibria.json").exit_code == 0
-    assert load_problem_file(DATA / "morris-lecar.ode").duration == 150
+def test_a_text_with_events_is_the_hybrid_system_of_python(tmp_path):
+    """Izhikevich's neuron in both ways, found again by its file, its cycle its own or said."""
+    model = of.equations(NEURON, VALUES, events={"spike": SPIKE})
+    flow = of.ode(
+        lambda t, x, p: [0.04 * x.v**2 + 5 * x.v + 140 - x.u + p.I, p.a * (p.b * x.v - x.u)], ["v", "u"], VALUES
+    )
+    reset = of.Transition(
+        "spike", "flow", "flow", lambda x, p: x.v - 30, lambda x, p: ca.vertcat(p.c, x.u + p.d), direction=1
+    )
+    other = of.hybrid({"flow": flow}, [reset], ["spike"])
+    known = [of.find_orbit(of.Problem(each, of.Guess([-65.0, 0.0], period=40.0))) for each in (model, other)]
+    assert all(each.certificate.passed for each in known)
+    assert known[0].period == pytest.approx(known[1].period, rel=1e-10)
+    of.save_orbit(known[0], tmp_path / "orbit.json")
+    assert command("verify", tmp_path / "orbit.json").exit_code == 0
+    assert (
+        of.equations(NEURON, VALUES, events={"spike": SPIKE}, cycle=["spike", "spike"]).hybrid.cycle == ("spike",) * 2
+    )
 
 
-def test_functions_conditions_and_abbreviations_of_xppaut():
-    model = of.from_xpp(str(DATA / "spike-rate.ode"))
-    assert model.state_names == ("u", "a") and model.parameter_names == ("b", "tau")
-    assert model.landmarks["init"] == (0.25, 0.1)
-
-    def exact(u, a, b=0.5, tau=2.0):
-        x, gain = u - a, 1 if u >= 1 else max(u, -1)
-        fired = x**2 / (1 + x**2) if x > 0 and a > -10 else 0
-        return [-u + fired + (b if u >= 0 else 0) + math.log(2), (gain - a) / tau]
-
-    for state in [(0.25, 0.1), (2.0, 0.5), (-3.0, 1.0), (0.0, -11.0)]:
-        assert model.rates(0, state, model.parameter_values).full().ravel() == pytest.approx(exact(*state), rel=1e-15)
-    assert build_model(model.system).system == model.system
-
-
-def test_guess_writes_a_problem_file_of_an_xppaut_file(tmp_path):
-    """Its closest return is found again as the cycle of road.json."""
-    file, out = tmp_path / "spiking.ode", tmp_path / "spiking.toml"
-    file.write_text((DATA / "morris-lecar.ode").read_text().replace("par I=0", "par I=150"))
-    assert command("guess", file, "--out", out).exit_code == 0
-    assert command("run", out, "-o", tmp_path, "--no-figures").exit_code == 0
-    orbit = of.load_orbit(tmp_path / "spiking" / "orbit.json")
-    (wanted,) = (float(one["period"]) for one in ROAD["cyc-ml"]["values"] if one["parameter"] == 150)
-    assert orbit.period == pytest.approx(wanted, rel=1e-12)
-
-
-def test_not_of_xppaut_is_a_function(tmp_path):
-    """not(x>1)*3 is 3 times the opposite, not the opposite of a product."""
-    (tmp_path / "not.ode").write_text("x'=not(x>1)*3-NOT(x<1|x>2)*LOG10(100)\n")
-    model = of.from_xpp(tmp_path / "not.ode")
-    assert [float(model.rates(0, [x], [])) for x in (0.5, 1.5, 3.0)] == pytest.approx([3.0, -2.0, 0.0])
-
-
-def test_a_forced_xppaut_file_takes_its_period_from_the_call(tmp_path):
-    file = tmp_path / "forced.ode"
-    file.write_text("par w=2\nx'=-x+cos(w*t)\n")
-    assert float(of.from_xpp(file, period="2*pi/w").forcing_period([2.0])) == pytest.approx(math.pi)
-    with pytest.raises(InputError, match=r"line 2: .*depends on the time t; give the period of that"):
-        of.from_xpp(file)
-
-
-XPP = [
-    ("table f f.tab", "is not understood"), ("global 1 x-1 {x=0}", "is not understood"), ("markov z 2", "is not under"),
-    ("wiener w", "is not understood"), ("x[1..5]'=-x", "is not understood"), ("%[1..5]", "is not understood"),
-    ("y'=delay(x,3)", "'delay(x,3)' is not allowed"), ("volt x", "is not understood"), ("0=x-1", "is not understood"),
-    ("y(t)=x", "is not understood"), ("x(t+1)=x", "is not understood"), ("bdry x-1", "is not understood"),
-    ("y=del_shft(x,2)", "'del_shft(x,2)' is not allowed"), ("y'=xx", "unknown name 'xx', did you mean 'x'?"),
-    ("par b=8/3", "is not understood; read are par a=1"), ("par a", "is not understood"), ("x(0)=a", "is not under"),
-    ("x'=2*x", "x is defined in line 2 too"), ("par X=1", "X is defined in line 2 too"), ("init q=3", "the rate of q"),
-    ("y'=x +", "no expression"), ("q=x.real", "'.' is not expected"), ("par exp=3", "no name that is free"),
-    ("y'=10^400", "no finite real number"), ("x==3", "is not understood"), ("y'=", "is not understood"),
-    ("f(a)=f(a)", "is defined by itself"), ("y'=foo(x)", "'foo(x)' is not allowed"), ("solv y=1", "is not understood"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("line, why", XPP, ids=range(len(XPP)))
-def test_what_is_not_understood_is_named_with_its_line(line, why, tmp_path):
-    file = tmp_path / "bad.ode"
-    file.write_text(f"# a comment\nx'=-x\n\n{line}\ndone\n")
-    made = command("simulate", file)
-    shown = repr(line)
-    said = made.stderr.replace("\n", "")
-    assert made.exit_code == 2 and f"{file}: line 4: {shown}: " in said and why in said, made.stderr
-
-
-def test_a_file_without_equations_or_that_is_no_text(tmp_path):
-    for content, why in ((b"par a=1\n", "no equations x'=... or dx/dt=..."), (b"\xff\xfe\x00", "not UTF-8 text")):
-        (tmp_path / "none.ode").write_bytes(content)
-        with pytest.raises(InputError, match=why):
-            of.from_xpp(tmp_path / "none.ode")
-    with pytest.raises(InputError, match="no such file"):
-        of.from_xpp(tmp_path / "missing.ode")
+@pytest.mark.parametrize(
+    "events, why",
+    [
+        ({"spike": {"guard": "v", "when": 1}}, "events.spike: got"), ({"spike": {"guard": 3}}, "events.spike: got"),
+        ({"spike": SPIKE | {"reset": {"w": "1"}}}, "events.spike.reset: 'w' is no state; states are v, u"),
+        ({"spike": SPIKE | {"guard": "w"}}, "events.spike.guard: unknown name 'w'"),
+        ({"spike": SPIKE | {"reset": {"v": "w"}}}, "events.spike.reset.v: unknown name 'w'"),
+        ({"spike": SPIKE | {"direction": 0}}, "direction must be -1"), ({"spike": {"guard": "I"}}, "never crossed"),
+        ({"spike": SPIKE | {"guard": "v - t"}}, "depends on the time t"),
+    ],
+)  # fmt: skip
+def test_wrong_events_are_refused_by_name(events, why):
+    assert why in refused(rates=NEURON, parameters=VALUES, events=events)
+    with pytest.raises(InputError, match="has no meaning beside kinetic"):
+        of.equations(kinetic="vdot^2/2", coordinates=["v"], events=events)
 
 
 # -------------------------------------------------------------------------------------------------------- AUTO

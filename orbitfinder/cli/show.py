@@ -21,6 +21,7 @@ def show(files: tuple[Path, ...]) -> None:
 
     An orbit, a family, an atlas, optima, tori, equilibria, a section, a manifold, a connection, a controller, a proof
     of a branch. FILE#K is one of those in it. Nothing is computed: it is what the file says, and `verify` checks it.
+    Of a problem file or an XPPAUT file (.ode) what is understood, and what is left out.
 
     \b
     Examples:
@@ -30,6 +31,15 @@ def show(files: tuple[Path, ...]) -> None:
     """
     results = []
     for file in files:
+        if file.suffix in (".toml", ".ode"):
+            from orbitfinder.problemfile.read import load_problem_file
+
+            facts = load_problem_file(file).facts
+            results.append({"file": str(file), "kind": "problem", **facts})
+            text(f"{file}: a problem file")
+            for line in _lines(facts):
+                text(line)
+            continue
         kind, facts = shown(file)
         if any("event" in row for row in facts.get("events", ())):  # what they are, and the commands that follow them
             told = [{**row["event"], **row} for row in facts["events"]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from graphlib import CycleError, TopologicalSorter
@@ -17,6 +17,7 @@ from orbitfinder._runtime.arguments import checked
 from orbitfinder.errors import InputError, closest, shortened
 from orbitfinder.mechanics.expression import FUNCTIONS, expression
 from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
+from orbitfinder.mechanics.hybrid import Transition, changed, hybrid
 from orbitfinder.mechanics.kind import KINDS, SystemKind
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Model
@@ -26,12 +27,16 @@ from orbitfinder.records.reading import Entries, Table
 Reader = Callable[[str, str], Any]
 """(text, its field) -> its value in symbols"""
 FORMS = {
-    "rates": {"states", "invariants"}, "hamiltonian": {"coordinates", "momenta", "invariants"},
+    "rates": {"states", "invariants", "events", "cycle"}, "hamiltonian": {"coordinates", "momenta", "invariants"},
     "kinetic": {"coordinates", "potential", "forces"},
 }  # fmt: skip
 """What says the equations, with the keys that only some have"""
-RESERVED, MOST = {"t", "pi", "and", "or", "not", "True", "False", "None", *FUNCTIONS}, 200_000
-"""What nothing else may be called; letters of all texts, and operations that functions become where they are called"""
+RESERVED, MOST, EVENT = (
+    {"t", "pi", "and", "or", "not", "True", "False", "None", *FUNCTIONS} - {"sign", "floor", "erf"}, 200_000,
+    {"guard", "direction", "reset"},
+)  # fmt: skip
+"""What nothing else may be called, but for functions that came later; letters of all texts, and operations that
+functions become where they are called; what an event says"""
 HEAD, WORD = re.compile(r"(\w+)\s*(?:\(([\w\s,]*)\))?"), re.compile(r"\b[^\W\d]\w*")
 
 
@@ -49,6 +54,9 @@ def equations(
     coordinates: Sequence[str] = (),
     momenta: Sequence[str] = (),
     invariants: Mapping[str, str] | None = None,
+    events: Mapping[str, Mapping[str, Any]] | None = None,
+    cycle: Sequence[str] = (),
+    left_out: Sequence[str] = (),
     angles: Sequence[str] = (),
     period: str | float | None = None,
     units: Mapping[str, str] | None = None,
@@ -57,7 +65,8 @@ def equations(
     """The Model of equations as text: x' = f(t, x, p), Hamilton's of H(q, p), or Lagrange's of T - V with forces.
 
     Of names, numbers, pi, the time t, + - * / ^ **, comparisons, `and`, `or`, `not`, and sin, cos, tan, asin, acos,
-    atan, atan2, sinh, cosh, tanh, exp, log, sqrt, abs, min, max, if(condition, then, else). Nothing is executed.
+    atan, atan2, sinh, cosh, tanh, exp, log, sqrt, erf, abs, sign, floor, min, max, if(condition, then, else). Nothing
+    is executed.
 
     Args:
         rates: x' by the name of each state.
@@ -71,6 +80,10 @@ def equations(
         coordinates: names of q, for hamiltonian and kinetic.
         momenta: names of p in the same order, for hamiltonian.
         invariants: first integrals by name, which keep their value along motions; the energy of others is known.
+        events: of rates, resets by name, {"guard": "v - 30", "direction": 1, "reset": {"v": "c", "u": "u + d"}}: where
+            the guard rises (1) or falls (-1) through 0 the states of `reset` get these values of the state before.
+        cycle: names of the events of one period in their order, those of the guess's motion when left out.
+        left_out: what a file from elsewhere says beside this, in words; nothing is made of it.
         angles: states or coordinates that may turn.
         period: of the explicit dependence on the time, a number or a text of parameters such as "2*pi/omega".
         units: words for time, length, mass, angle, or a state or parameter by name ("ms", "mV"); nothing is converted.
@@ -92,7 +105,7 @@ def equations(
         `of.ode`, `of.hamiltonian` and `of.lagrange` from Python functions, `of.from_xpp` for XPPAUT's files.
     """
     given = {k: _plain(value) for k, value in locals().items()
-             if value is not None and value != () and k not in ("units", "find_invariants")}  # fmt: skip
+             if value is not None and value not in ((), []) and k not in ("units", "find_invariants")}  # fmt: skip
     given = {"kind": "equations", "parameters": {}} | given
     form = _form(given)
     names = [*(states or rates or ())] if form == "rates" else [*coordinates, *momenta]
@@ -167,6 +180,8 @@ def _check_time(given: Table, form: str) -> None:
     """`InputError` for texts that are too long, for a dependence on time without its period, and the reverse."""
     tables = {f"{key}.{name}": text for key in ("rates", "let", "forces", "invariants")
               for name, text in given.get(key, {}).items()}  # fmt: skip
+    for name, event in given.get("events", {}).items():
+        tables |= {f"events.{name}": " ".join(map(str, (event.get("guard"), *event.get("reset", {}).values())))}
     texts = tables | {key: given[key] for key in ("hamiltonian", "kinetic", "potential") if key in given}
     if (letters := sum(map(len, texts.values()))) > MOST:
         raise InputError(f"{form}: {letters} letters of text, at most {MOST} are read; use of.ode for such a system")
@@ -243,7 +258,31 @@ def _first_order(find: bool, given: Table, names: Sequence[str]) -> Model:
         read = _reader(given, t, x, p)
         return [read(given["rates"][name], f"rates.{name}") for name in names]
 
-    return ode(field, names, given["parameters"], find_invariants=find, **_common(given))
+    flow = ode(field, names, given["parameters"], find_invariants=find, **_common(given))
+    if "events" not in given:
+        return flow
+    return hybrid({"flow": flow}, [*_transitions(given, names)], given.get("cycle"), system=given)
+
+
+def _transitions(given: Table, names: Sequence[str]) -> Iterator[Transition]:
+    """The events of a text. Raises `InputError`."""
+    for name, event in given["events"].items():
+        where, reset = f"events.{name}", event.get("reset", {})
+        if not isinstance(event.get("guard"), str) or not isinstance(reset, Mapping) or event.keys() - EVENT:
+            raise InputError(f"{where}: got {shortened(repr(event))}; give guard = 'v - 30', direction = 1 or -1, and "
+                             "reset = {v = 'c'}")  # fmt: skip
+        if strange := [state for state in reset if state not in names]:
+            raise InputError(f"{where}.reset: {strange[0]!r} is no state{closest(strange[0], names)}; states are "
+                             f"{', '.join(names)}")  # fmt: skip
+
+        def guard(x: Named, p: Named, text: str = event["guard"], where: str = where) -> Any:
+            return _reader(given, ca.SX.sym("t"), x, p)(text, f"{where}.guard")
+
+        def after(x: Named, p: Named, reset: Mapping[str, str] = reset, where: str = where) -> Any:
+            read = _reader(given, ca.SX.sym("t"), x, p)
+            return changed(x, **{state: read(text, f"{where}.reset.{state}") for state, text in reset.items()})
+
+        yield Transition(name, "flow", "flow", guard, after, int(event.get("direction", 1)))
 
 
 def _common(given: Table) -> Entries:

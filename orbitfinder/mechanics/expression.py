@@ -23,13 +23,14 @@ from orbitfinder.records.reading import Table
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "sqrt": ca.sqrt, "exp": ca.exp, "log": ca.log, "tanh": ca.tanh,
     "sinh": ca.sinh, "cosh": ca.cosh, "asin": ca.asin, "acos": ca.acos, "atan": ca.atan, "atan2": ca.atan2,
-    "abs": ca.fabs, "min": lambda *each: reduce(ca.fmin, each), "max": lambda *each: reduce(ca.fmax, each),
+    "abs": ca.fabs, "sign": ca.sign, "floor": ca.floor, "erf": ca.erf,
+    "min": lambda *each: reduce(ca.fmin, each), "max": lambda *each: reduce(ca.fmax, each),
     "if": lambda condition, this, that: (  # one of numbers alone is settled here
         (this if condition else that) if isinstance(condition, float) else ca.if_else(condition, this, that)
     ),
 }  # fmt: skip
 """What may be called in an expression."""
-LONGEST, DEEPEST, COUNTS = 2000, 60, {"atan2": (2, 2), "if": (3, 3), "min": (2, 20), "max": (2, 20)}
+LONGEST, DEEPEST, COUNTS = 20_000, 60, {"atan2": (2, 2), "if": (3, 3), "min": (2, 20), "max": (2, 20)}
 """Letters of an expression, how deeply it may be nested, and the fewest and most arguments of what does not take 1"""
 OWN, MARK = sorted({*keyword.kwlist} - {"and", "or", "not", "True", "False", "None"}), "\u01c1"
 WORDS = re.compile(rf"\b({'|'.join(OWN)})\b(?!\s*:)")
@@ -102,7 +103,9 @@ class _Reading:
                 return math.pi
             if name not in self.known:
                 listed = shortened(", ".join(self.known), 300)
-                raise InputError(f"{self.where}: unknown name {name!r}{closest(name, self.known)}; known are {listed}")
+                raise InputError(
+                    f"{self.where}: unknown name {shortened(repr(name))}{closest(name, self.known)}; known are {listed}"
+                )
             return self.known[name]
         if isinstance(node, ast.BinOp) and type(node.op) in _OPERATIONS:
             return self._chain(node, depth)

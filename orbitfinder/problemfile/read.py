@@ -42,6 +42,7 @@ from orbitfinder.problemfile.schema import (
     systems,
 )
 from orbitfinder.problemfile.xpp import xpp_document
+from orbitfinder.records.codec import outline
 from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import Entries, bounded, file_beside, file_bytes
 
@@ -74,6 +75,19 @@ class ProblemFile:
     def title(self) -> str:
         """One line for people, where the file has it."""
         return self.problem.title if self.problem else str(self.document.get("title", ""))
+
+    @property
+    def facts(self) -> Entries:
+        """What is understood of it, before anything is computed."""
+        model, system = self.model, self.model.system or {}
+        facts: Entries = outline({
+            "title": self.title, "system": system_kind(system).words(system), "states": list(model.state_names),
+            "parameters": dict(zip(model.parameter_names, model.parameter_values.tolist(), strict=True)),
+            "forced": model.forced, "events": [each.name for each in model.hybrid.transitions] if model.hybrid else [],
+            "invariants": [each.name for each in model.invariants], "rates": system.get("rates", {}),
+            "left_out": system.get("left_out", []), "start": self.start,
+        })  # fmt: skip
+        return facts
 
     @property
     def wanted(self) -> Problem:

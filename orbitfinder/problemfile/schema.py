@@ -266,6 +266,10 @@ OWN: dict[str, dict[str, tuple[Any, ...] | None]] = {
         "mass": (Matrix, ...), "damping": (Matrix | None, None), "stiffness": (Matrix, ...),
         "elements": (dict[str, ElementTable] | None, None), "forcing": (LoadTable | None, None),
     },
+    "xpp": {
+        "path": None, "file": (Line, ..., "the XPPAUT file, beside this one"),
+        "parameters": (dict[str, float] | None, None, "other values of its parameters"),
+    },
     "chain": {"links": (Annotated[int, Field(ge=1, le=2000)], ...)},  # the matrices of longer ones fill the memory
     "linkage": {
         "length": (Annotated[list[Positive], Field(min_length=2, max_length=40)], ...),

@@ -1,41 +1,71 @@
-"""XPPAUT's .ode files as equations in text: their common part; what is not understood is named with its line.
+"""XPPAUT's .ode files as equations in text; what has no meaning here is refused with its line, or left out in words.
 
-Source: B. Ermentrout, Simulating, Analyzing, and Animating Dynamical Systems, SIAM 2002, appendix B.
+Source: B. Ermentrout, Simulating, Analyzing, and Animating Dynamical Systems, SIAM 2002, appendix B; for what a line is
+taken for, `parse_a_string`, `search_array`, `subsk` and `compile_em` of XPPAUT's form_ode.c.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from orbitfinder.errors import InputError, shortened
+from orbitfinder.mechanics.equations import RESERVED
+from orbitfinder.mechanics.expression import expression
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, altered
-from orbitfinder.records.reading import Entries, file_bytes
+from orbitfinder.records.reading import Entries, file_beside, file_bytes
 
-WORD, NUMBER = re.compile(r"(?<![\w.])[A-Za-z_]\w*"), r"[+-]?(?:\d++\.?\d*+|\.\d++)(?:[eE][+-]?\d++)?"
-VALUE = rf"([A-Za-z_]\w*) ?= ?({NUMBER})(?: ?, ?| |$)"
-LISTS, LEFT_OUT = (
-    {**dict.fromkeys(("p", "par", "param", "params", "parameter", "parameters"), "parameters"),
-     **dict.fromkeys(("n", "num", "number"), "let"), **dict.fromkeys(("i", "init"), "start")},
-    {"a", "aux", "set", "options", "only"},
+NAME, NUMBER = r"[A-Za-z_]\w*", r"[+-]?(?:\d++\.?\d*+|\.\d++)(?:[eE][+-]?\d++)?"
+PAGE, WORD = "docs/how-to/xppaut.md", re.compile(rf"(?<![\w.]){NAME}")
+RANGE, INDEX = re.compile(r"\[(-?\d+) ?\.\. ?(-?\d+)\]"), re.compile(r"\[j ?(?:([+*-]) ?(\d+))?\]", re.IGNORECASE)
+COMMANDS, LEFT_OUT = (
+    {"d": "end", "gr": "group", "ma": "markov", "so": "algebraic", "au": "aux", "ve": "special", "sp": "special",
+     "ex": "export", "on": "only", "v": "volterra", "ta": "table", "p": "parameters", "w": "wiener", "n": "let",
+     "o": "options", "se": "set", "b": "bndry", "g": "global", "i": "start"},
+    ("aux", "only", "options", "set", "bndry", "unknown"),
 )  # fmt: skip
-"""What changes no equation: columns of tables, values to choose from later, choices of a window"""
-LONGEST, PRIORITIES = 20_000, {**dict.fromkeys(("+", "-", "|", "||"), 4), **dict.fromkeys(("*", "/", "&", "&&"), 6),
-              **dict.fromkeys(("^", "**", ">", "<", "==", ">=", "<=", "!="), 7)}  # fmt: skip
-"""Letters of a line with those that it goes on in; how tightly operators bind, all from the left; a minus and a not
-before something bind as a product does"""
-OWN = {"heav": ("heav(u)", "if(u >= 0, 1, 0)"), "ln": ("ln(u)", "log(u)"), "log10": ("log10(u)", "log(u)/log(10)"),
-       "not": ("not_(u)", "if(u, 0, 1)")}  # fmt: skip
-"""XPPAUT's functions that are written out in ours"""
+"""What a line without an equation is, by how its first word begins, the first that fits; which of them change no rate:
+columns of tables, choices of a window, values to choose from later, conditions at two ends, and what begins with a word
+that XPPAUT does not know either"""
+REFUSED, STRANGE = (
+    {"markov": "a variable that jumps at random is no differential equation; leave it out",
+     "wiener": "noise makes no differential equation; make it a parameter of value 0: par name=0",
+     "export": "another program gives these their values; write them as equations, name=...",
+     "volterra": "an integral over the past is no differential equation; write it by variables of their own",
+     "special": "functions of a whole network are not read; write each term, or sum(0,9)of(...)",
+     "group": "groups are not read; write their equations as lines of the file",
+     "algebraic": "equations 0=... are not read; solve them for their unknown, name=..., or give it a rate",
+     "map": "x(t+1)= makes a map of these lines; only differential equations are read"},
+    {**dict.fromkeys(("ran", "normal", "poisson"), "is drawn at random; put a number or a parameter in its place"),
+     **dict.fromkeys(("delay", "del_shft"), "is a value of the past; only ordinary differential equations are read"),
+     **dict.fromkeys(("besselj", "bessely", "besseli", "hom_bcs"), "is not known here; write it out")},
+)  # fmt: skip
+"""Lines, and functions of XPPAUT's, that make no ordinary differential equation here, and why"""
+LONGEST, MOST_LINES, MOST_ROWS, ROWS = 20_000, 20_000, 1000, 50
+"""Letters of a line with those that it goes on in; lines with those that arrays stand for; rows of a table, and of each
+text that it is written in"""
+PRIORITIES, OWN = (
+    {**dict.fromkeys(("+", "-", "|", "||"), 4), **dict.fromkeys(("*", "/", "&", "&&"), 6),
+     **dict.fromkeys(("^", "**", ">", "<", "==", ">=", "<=", "!="), 7)},
+    {"heav": ("heav(u)", "if(u >= 0, 1, 0)"), "ln": ("ln(u)", "log(u)"), "log10": ("log10(u)", "log(u)/log(10)"),
+     "not": ("not_(u)", "if(u, 0, 1)"), "flr": ("flr(u)", "floor(u)"), "erfc": ("erfc(u)", "1 - erf(u)"),
+     "mod": ("mod(u, v)", "u - v*floor(u/v)")},
+)  # fmt: skip
+"""How tightly operators bind, all from the left, a minus and a not before something as a product does; XPPAUT's
+functions that are written out in ours"""
 FORMS = {
-    r"([A-Za-z_]\w*) ?' ?=([^=].*)": "rates", r"d([A-Za-z_]\w*) ?/ ?dt ?=([^=].*)": "rates",
-    rf"([A-Za-z_]\w*) ?\( ?0 ?\) ?= ?({NUMBER})": "start", r"!? ?([A-Za-z_]\w*) ?=([^=].*)": "let",
-    r"([A-Za-z_]\w* ?\((?! ?t ?[+)]) ?[A-Za-z_][ \w,]*\)) ?=([^=].*)": "let",
+    rf"({NAME}) ?' ?=(.*)": "rates", rf"d({NAME}) ?/ ?dt ?=(.*)": "rates", rf"({NAME}) ?\( ?0 ?\) ?=(.*)": "start",
+    rf"({NAME}) ?\( ?t ?\+ ?1 ?\) ?=(.*)": "map", r"(0) ?=(.*)": "algebraic",
+    rf"({NAME} ?\( ?{NAME}[ \w,]*\)) ?=(.*)": "let", rf"!? ?({NAME}) ?=([^=].*|)": "let",
 }  # fmt: skip
-"""Lines that define something"""
+"""Lines that define something, the first that fits"""
 
 
 @dataclass(frozen=True)
@@ -53,24 +83,30 @@ class _Entry:
         """Its name alone, in small letters: XPPAUT does not tell them from capitals."""
         return self.name.partition("(")[0].strip().lower()
 
+    def fault(self, why: object) -> InputError:
+        """An error that names the line."""
+        return InputError(f"{self.where}: {why}; see {PAGE}")
 
-def from_xpp(path: str | Path, period: str | float | None = None) -> Model:
+
+def from_xpp(path: str | Path, period: str | float | None = None, time: float | None = None) -> Model:
     """The Model of an XPPAUT file, with its initial state as the landmark "init".
 
-    Read are parameters (`par`, `number`), `init`, `x'=`, `dx/dt=`, functions, hidden and derived quantities,
-    if()then()else(), heav; `aux`, `set` and `@` change no equation and are left out. Names keep the case of their
-    definition. Commands take the file itself in place of a problem file.
+    Read are parameters (`par`, `number`), `init`, `x'=`, `dx/dt=`, functions, hidden and derived quantities, arrays
+    `[1..10]`, `sum(0,9)of(...)`, tables, if()then()else(), and `global`, whose resets make a hybrid system of it.
+    `aux`, `set`, `bndry`, `only`, options and what enters no rate are left out, in words in `system["left_out"]`.
+    Names keep the case of their definition. Commands take the file itself in place of a problem file.
 
     Args:
         path: FILE.ode.
         period: of the explicit dependence on the time, where there is one.
+        time: instead, a time at which all rates are taken: a pulse heav(t - t0) has come or not.
 
     Returns:
         A Model of equations as text.
 
     Raises:
-        InputError: naming the file, the line, its text and the remedy, for `table`, `global`, `markov`, `wiener`,
-            delays, arrays, and whatever else has no meaning here.
+        InputError: naming the file, the line, its text and the remedy, for `markov`, `wiener`, `export`, delays,
+            integrals, maps, a `global` that sets a parameter, and whatever else has no meaning here.
 
     Examples:
         >>> from pathlib import Path
@@ -86,49 +122,245 @@ def from_xpp(path: str | Path, period: str | float | None = None) -> Model:
         >>> [round(event.parameter, 12) for event in rest.events]
         [2.0]
     """
-    document = xpp_document(Path(path), period)
+    document = xpp_document(Path(path), period, time)
     return altered(build_model(document["system"]), landmarks={"init": tuple(document["simulate"]["state"])})
 
 
-def xpp_document(path: Path, period: str | float | None = None) -> Entries:
+def xpp_document(path: Path, period: str | float | None = None, time: float | None = None) -> Entries:
     """The problem file that an XPPAUT file stands for: its equations, and where its simulation starts."""
+    if period is not None and time is not None:
+        raise InputError("time: what is taken at a time has no period; give one of them")
     seen: dict[tuple[str, str], _Entry] = {}
+    left_out, resets = list[str](), list[_Entry]()
     for entry in _entries(path):
         key = (entry.table if entry.table in ("start", "total") else "", entry.word)
-        if key in seen:
+        if entry.table in LEFT_OUT:
+            left_out.append(f"{entry.table} {entry.name}".strip())
+        elif entry.table == "global":
+            resets.append(entry)
+        elif key in seen and entry.table not in ("start", "total"):
             raise InputError(f"{entry.where}: {entry.name} is defined in line {seen[key].number} too; keep one of them")
-        seen[key] = entry
-    tables = {key: [entry for entry in seen.values() if entry.table == key] for key in ("rates", "let", "parameters")}
+        else:
+            seen[key] = entry
+    tables = {key: [entry for entry in seen.values() if entry.table == key]
+              for key in ("rates", "let", "parameters", "start", "table")}  # fmt: skip
     if not tables["rates"]:
         raise InputError(f"{path}: no equations x'=... or dx/dt=...; give an XPPAUT file of differential equations")
-    spelled = {entry.word: entry.name.partition("(")[0].strip() for each in tables.values() for entry in each}
-    system: Entries = {
-        "kind": "equations", "find_invariants": True,
-        "parameters": {entry.name: float(entry.text) for entry in tables["parameters"]},
-        **{key: {entry.name: _translated(entry, spelled) for entry in tables[key]} for key in ("rates", "let")},
-    }  # fmt: skip
-    used = {word.lower() for key in ("rates", "let") for entry in tables[key] for word in WORD.findall(entry.text)}
-    system["let"] |= {head: text for word, (head, text) in OWN.items() if word in used and word not in spelled}
+    reading = _Definitions(tables, path.parent, time)
+    system = reading.system(resets)
+    left_out += [f"{name} enters no rate" for name in reading.idle]
+    left_out += [f"{old} is called {new}" for old, new in reading.renamed]
     system |= {} if period is None else {"period": period}
+    system |= {"left_out": left_out} if left_out else {}
     try:
         build_model(system)
     except InputError as error:
         named = [seen["", word.lower()] for word in re.findall(r"\w+", error.field)[2:3] if ("", word.lower()) in seen]
-        raise InputError(f"{named[0].where if named else path}: {error}") from error
-    starts = {word: entry for (table, word), entry in seen.items() if table == "start"}
-    for word in starts.keys() - {entry.word for entry in tables["rates"]}:
-        raise InputError(f"{starts[word].where}: nothing gives the rate of {word}; add {word}'=...")
+        at_a_time = " or, to take it at a time, time = 0" if "depends on the time" in str(error) else ""
+        raise InputError(f"{named[0].where if named else path}: {error}{at_a_time}") from error
+    starts, rates = {entry.word: entry for entry in tables["start"]}, {entry.word for entry in tables["rates"]}
+    for word in starts.keys() - rates:
+        raise starts[word].fault(f"nothing gives the rate of {word}; add {word}'=...")
     state = [float(starts[entry.word].text) if entry.word in starts else 0.0 for entry in tables["rates"]]
     total = {"duration": float(seen["total", "duration"].text)} if ("total", "duration") in seen else {}
     return {"system": system, "simulate": {"state": state, **total}}
 
 
+class _Definitions:
+    """A file's definitions on their way into our expressions."""
+
+    def __init__(self, tables: Mapping[str, Sequence[_Entry]], folder: Path, time: float | None) -> None:
+        self.tables, self.folder, self.time = tables, folder, time
+        self.defined = {entry.word: entry for key in ("let", "table") for entry in tables[key]}
+        self.renamed, self.spelled, self.idle = list[tuple[str, str]](), dict[str, str](), list[str]()
+        named = [entry for key in ("rates", "parameters", "let", "table") for entry in tables[key]]
+        taken = {entry.word for entry in named}
+        for entry in named:
+            name = entry.name.partition("(")[0].strip()
+            if name in RESERVED or (entry.table in ("rates", "parameters") and name in ("energy", "period")):
+                new = next(made for k in range(1, 99) if (made := f"{name}_{k}").lower() not in taken)
+                self.renamed.append((name, new))
+                name = new
+            self.spelled[entry.word] = name
+
+    def system(self, resets: Sequence[_Entry]) -> Entries:
+        """The table of a problem file: what the rates and the resets use, and no more. Raises `InputError`."""
+        made: Entries = {"kind": "equations", "find_invariants": True}
+        made["parameters"] = {self.spelled[entry.word]: float(entry.text) for entry in self.tables["parameters"]}
+        events = [event for entry in resets for event in self._events(entry)]
+        used = self._used([entry.text for entry in self.tables["rates"]])
+        used |= self._used([text for event in events for text in (event["guard"], *event["reset"].values())])
+        self.idle = [entry.name for word, entry in self.defined.items() if word not in used]
+        made["rates"] = {self.spelled[entry.word]: self.text(entry) for entry in self.tables["rates"]}
+        made["let"] = dict[str, str]()
+        for word, entry in self.defined.items():
+            if word in used:
+                made["let"] |= self._rows(entry) if entry.table == "table" else {self._head(entry): self.text(entry)}
+        made["let"] |= {head: text for word, (head, text) in OWN.items() if word in used and word not in self.spelled}
+        return made | ({"events": {f"event_{k}": event for k, event in enumerate(events, 1)}} if events else {})
+
+    def _used(self, texts: Sequence[str]) -> set[str]:
+        """All words of texts, in small letters, and of what defines them."""
+        used, waiting = set[str](), list(texts)
+        while waiting:
+            text = waiting.pop()
+            with suppress(ValueError):  # is refused where it is read
+                text = self._shifted(_summed(text))
+            new = {word.lower() for word in WORD.findall(text)} - used
+            used |= new
+            waiting += [self.defined[word].text for word in new if word in self.defined]
+        return used
+
+    def _events(self, entry: _Entry) -> Iterator[Entries]:
+        """The events of a line `global`; none where it only prints or ends a simulation. Raises `InputError`."""
+        read = re.fullmatch(r"([+-]?[01]) ?(?:\{([^{}]*)\}|([^{}]*)) ?\{([^{}]*)\}?", entry.text)
+        if read is None:
+            raise entry.fault("is not understood; write global 1 {v-30} {v=c;u=u+d}")
+        condition, values = (read[2] or read[3] or "").strip(), dict[str, str]()
+        tables = {each.word: each.table for key in ("rates", "parameters") for each in self.tables[key]}
+        for part in filter(None, map(str.strip, read[4].split(";"))):
+            name, _, text = map(str.strip, part.partition("="))
+            table = tables.get(name.lower(), "")
+            if table == "parameters":
+                raise entry.fault(f"{name} is a parameter that it changes; make it a variable, {name}'=0")
+            if table == "rates" and text:
+                values[self.spelled[name.lower()]] = self.text(entry, text)
+            elif name.lower() not in ("out_put", "arret"):
+                raise entry.fault(f"{part!r} resets no variable; write {{v=c}} of a variable that has a rate")
+        if values and "t" in self._used([condition, *values.values()]):
+            raise entry.fault("happens at a time and not at a state; leave it out, or make the time a variable")
+        if values:
+            for direction in (int(read[1]),) if int(read[1]) else (-1, 1):
+                yield {"guard": self.text(entry, condition), "direction": direction, "reset": values}
+
+    def _head(self, entry: _Entry) -> str:
+        """Its name as our `let` has it, the arguments of a function with it."""
+        inside = [_argument(part) for part in WORD.findall(entry.name)[1:]]
+        return self.spelled[entry.word] + (f"({', '.join(inside)})" if inside else "")
+
+    def text(self, entry: _Entry, text: str | None = None) -> str:
+        """A right-hand side, that of the line if none is given, as our expressions are written. Raises `InputError`."""
+        text = entry.text if text is None else text
+        known = {"not": "not_", **({} if self.time is None else {"t": f"({self.time!r})"}), **self.spelled}
+        known |= {word.lower(): _argument(word) for word in WORD.findall(entry.name)[1:]}
+        try:
+            plain = re.sub(r"\) ?(?:then|else) ?\(", ", ", self._shifted(_summed(text)), flags=re.IGNORECASE)
+            plain = _bracketed(plain)
+        except (ValueError, RecursionError) as error:
+            why = "nested too deeply" if isinstance(error, RecursionError) else error
+            raise entry.fault(f"{shortened(repr(text))} is no expression ({why}); write it by numbers, names, "
+                              "+ - * / ^, comparisons, &, |, brackets and functions") from error  # fmt: skip
+        for name in re.findall(rf"(?<![\w.])({NAME})\(", plain):
+            if name.lower() in STRANGE and name.lower() not in self.spelled:
+                raise entry.fault(f"{name}() {STRANGE[name.lower()]}")
+        return WORD.sub(lambda match: known.get(match[0].lower(), match[0].lower()), plain)
+
+    def _shifted(self, text: str) -> str:
+        """A text in which shift(x,k) is the variable, or the parameter, k places after x. Raises `ValueError`."""
+        orders = [[entry for key in keys for entry in self.tables[key] if "(" not in entry.name]
+                  for keys in (("rates", "let"), ("parameters",))]  # fmt: skip
+        while match := re.search(r"\bshift ?\(", text, re.IGNORECASE):
+            within, close = _inside(text, match.end())
+            name, _, offset = within.partition(",")
+            words = next((each for order in orders if name.strip().lower() in (each := [e.word for e in order])), [])
+            place = float(expression(_bracketed(offset), {}, "shift", {"mod": _Modulo(), "flr": math.floor}))
+            k = words.index(name.strip().lower()) + int(place) if words else -1
+            if not 0 <= k < len(words):
+                raise ValueError(f"shift({within}) is no variable and no parameter")
+            text = f"{text[: match.start()]}{words[k]}{text[close:]}"
+        return text
+
+    def _rows(self, entry: _Entry) -> dict[str, str]:
+        """A table as functions, straight between its rows and beyond them, as XPPAUT has it. Raises `InputError`."""
+        if formula := re.fullmatch(rf"% ?(\d+) ({NUMBER}) ({NUMBER}) (.*)", entry.text):
+            count, low, high = int(formula[1]), float(formula[2]), float(formula[3])
+            if not (2 <= count <= MOST_ROWS and low < high):
+                raise entry.fault(f"has {count} rows from {low} to {high}; give 2 to {MOST_ROWS} of them, rising")
+            places, name = np.linspace(low, high, count).tolist(), self.spelled[entry.word]
+            made = {f"{name}_at(t_1)": self.text(replace(entry, name=f"{name}(t)"), formula[4])}
+            values = [f"{name}_at({place!r})" for place in places]
+        else:
+            places, values = self._file(entry)
+            made, name = dict[str, str](), self.spelled[entry.word]
+        step = (places[-1] - places[0]) / (len(places) - 1)
+        terms = [f"{values[0]} + ({values[1]} - {values[0]})/{step!r}*(u - ({places[0]!r}))"] + [
+            f"({after} - 2*{here} + {before})/{step!r}*max(0, u - ({place!r}))"
+            for before, here, after, place in zip(values, values[1:], values[2:], places[1:], strict=False)
+        ]
+        for k in range(0, len(terms), ROWS):
+            made[f"{name}_{k}(u)"] = " + ".join(terms[k : k + ROWS])
+        return made | {f"{name}(u)": " + ".join(f"{name}_{k}(u)" for k in range(0, len(terms), ROWS))}
+
+    def _file(self, entry: _Entry) -> tuple[list[float], list[str]]:
+        """Places and values of a table's file: how many, from, to, values. Raises `InputError`."""
+        name = entry.text.strip().strip('"')
+        if not name or name.startswith("@"):
+            raise entry.fault("is not understood; write table f values.tab, or table f % 51 0 10 sin(t)")
+        path = file_beside(self.folder, name, entry.where)
+        words = file_bytes(path, "table", limit=1_000_000).decode("latin-1").split()
+        try:
+            numbers = np.array([float(word) for word in words])
+            count = int(numbers[0])
+            if not (2 <= count <= MOST_ROWS and numbers.size >= 3 + count and np.isfinite(numbers).all()):
+                raise ValueError(f"{count} rows, {numbers.size - 3} values")
+        except (ValueError, IndexError, OverflowError) as error:
+            raise entry.fault(f"{name} is no table ({error}); write how many, from, to, and so many values, at most "
+                              f"{MOST_ROWS}") from error  # fmt: skip
+        return np.linspace(float(numbers[1]), float(numbers[2]), count).tolist(), [
+            f"({value!r})" for value in numbers[3 : 3 + count].tolist()
+        ]
+
+
+class _Modulo:
+    """x modulo y, of numbers."""
+
+    count = 2
+
+    def __call__(self, x: float, y: float) -> float:
+        return x % y
+
+
+def _argument(name: str) -> str:
+    """What an argument of a function is called here."""
+    return f"{name}_1" if name.lower() in RESERVED else name
+
+
+def _inside(text: str, begin: int) -> tuple[str, int]:
+    """What stands in a bracket that has been opened before a place, and where it ends. Raises `ValueError`."""
+    depth = 1
+    for k in range(begin, len(text)):
+        depth += (text[k] == "(") - (text[k] == ")")
+        if not depth:
+            return text[begin:k], k + 1
+    raise ValueError("a bracket is not closed")
+
+
+def _summed(text: str) -> str:
+    """A text with sum(a,b)of(...) written out, in which i' is the index. Raises `ValueError`."""
+    if "{" in text or re.search(r"\bint ?\[", text, re.IGNORECASE):
+        raise ValueError("an integral int{...} over the past is no part of a differential equation")
+    while match := re.search(r"\bsum ?\(", text, re.IGNORECASE):
+        limits, end = _inside(text, match.end())
+        of, numbers = re.match(r" ?of ?\(", text[end:], re.IGNORECASE), re.fullmatch(r" ?(-?\d+) ?, ?(-?\d+) ?", limits)
+        if of is None or numbers is None:
+            raise ValueError("a sum is written sum(0,9)of(...), with numbers as its bounds")
+        body, close = _inside(text, end + of.end())
+        terms = [re.sub(r"\bi'", str(k), body) for k in range(int(numbers[1]), int(numbers[2]) + 1)][:LONGEST]
+        text = f"{text[: match.start()]}({'+'.join(f'({term})' for term in terms) or '0'}){text[close:]}"
+        if len(text) > LONGEST:
+            raise ValueError(f"more than {LONGEST} letters with its sums written out")
+    return text
+
+
 def _logical(path: Path) -> Iterator[tuple[int, str]]:
     """Lines that say something, with their numbers: without comments, continued where they end with a backslash."""
+    data = file_bytes(path, "XPPAUT file", limit=1_000_000)
     try:
-        rows = file_bytes(path, "XPPAUT file", limit=1_000_000).decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as plain text") from error
+        rows = data.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        rows = data.decode("latin-1").splitlines()
+    if b"\x00" in data:
+        raise InputError(f"{path}: not text (a byte 0 in it); save it as plain text")
     begun, first = "", 1
     for number, row in enumerate(rows, start=1):
         first = first if begun else number
@@ -140,54 +372,105 @@ def _logical(path: Path) -> Iterator[tuple[int, str]]:
             raise InputError(f"{where}: a line of {len(begun)} letters, at most {LONGEST} are read; write several")
         if begun.endswith("\\") and number < len(rows):
             begun = begun[:-1]
-        elif begun.lower() in ("d", "done"):
-            return
         elif begun:
             yield first, " ".join(begun.split())
             begun = ""
 
 
+def _lines(path: Path) -> Iterator[tuple[int, str, str]]:
+    """(number, line, the line as it stands with its file) of lines, each that an array stands for by itself."""
+    block, over = list[tuple[int, str, str]](), None
+    for number, line in _logical(path):
+        here = number, line, f"{path}: line {number}: {shortened(repr(line))}"
+        ranged = RANGE.search(line) is not None
+        if line.startswith("%") and over is not None:  # the end of lines that are repeated
+            yield from ((k, _indexed(each, j, where), where) for j in over for k, each, where in block)
+            block, over = [], None
+        elif line.startswith("%"):
+            over = _range(line, here[2]) if ranged else None  # else a comment
+        elif over is not None:
+            block.append(here)
+        else:
+            yield from (
+                (number, _indexed(line, j, here[2]), here[2]) for j in (_range(line, here[2]) if ranged else (None,))
+            )
+    if over is not None:
+        raise InputError(f"{path}: lines that %[..] repeats are not ended; write % in a line of its own after them")
+
+
+def _range(line: str, where: str) -> Sequence[int]:
+    """The indices of a line, those of the last range in it."""
+    low, high = (int(end) for end in RANGE.findall(line)[-1])
+    if abs(high - low) > MOST_LINES:
+        raise InputError(f"{where}: stands for {abs(high - low) + 1} lines, at most {MOST_LINES} are read")
+    return range(low, high + 1) if high >= low else range(low, high - 1, -1)
+
+
+def _indexed(line: str, j: int | None, where: str) -> str:
+    """A line with its indices [j], [j+1], [j*2], [3] as numbers."""
+    if j is None and INDEX.search(line):
+        raise InputError(f"{where}: [j] belongs to a line with a range, x[1..10]'=x[j+1]; write the number")
+
+    def number(match: re.Match[str]) -> str:
+        by = int(match[2] or 0)
+        return str((j or 0) * by if match[1] == "*" else (j or 0) + (-by if match[1] == "-" else by))
+
+    return re.sub(r"(?<!int)\[ ?([+-]?\d+) ?\]", r"\1", INDEX.sub(number, RANGE.sub("[j]", line)))
+
+
 def _entries(path: Path) -> Iterator[_Entry]:
     """What the lines define, in their order. Raises `InputError` for a line that is not understood."""
-    for number, line in _logical(path):
-        where, defined = f"{path}: line {number}: {shortened(repr(line))}", _defined(line)
-        if re.match(r"export\b(?! ?[=(/'])", line, re.IGNORECASE):
-            raise InputError(f"{where}: another program gives these their values; write them as equations, name=...")
-        if line.startswith("@") and (method := re.search(r"\bmeth\w* ?= ?([dv]\w*)", line, re.IGNORECASE)):
-            raise InputError(f"{where}: {method[1]} makes a map or an integral equation of these lines; only "
-                             "differential equations are read")  # fmt: skip
-        if defined is None:
+    for count, (number, line, where) in enumerate(_lines(path)):
+        if count > MOST_LINES:
+            raise InputError(f"{where}: more than {MOST_LINES} lines with those of arrays; give shorter ones")
+        if line.startswith("@"):
+            if method := re.search(r"\bmeth\w* ?= ?([dv]\w*)", line, re.IGNORECASE):
+                raise InputError(f"{where}: {method[1]} makes a map or an integral equation of these lines; only "
+                                 f"differential equations are read; see {PAGE}")  # fmt: skip
+            total = re.search(rf"\btotal ?= ?({NUMBER})", line, re.IGNORECASE)
+            if total and float(total[1]) > 0:
+                yield _Entry("total", "duration", total[1], number, where)
+            continue
+        match = next(((table, m) for form, table in FORMS.items() if (m := re.fullmatch(form, line, re.I))), None)
+        command, means = re.fullmatch(r"([A-Za-z]\w*)(?: (?!=)(.*))?", line), ""
+        name, text, rest = "", "", command[2] or "" if command else ""
+        if match:
+            means, name, text = match[0], match[1][1], match[1][2].strip()
+            means = "volterra" if re.search(r"\( ?t ?\)$", name) and re.search(r"int ?[{[]", text, re.I) else means
+        elif command:
+            means = next((each for begin, each in COMMANDS.items() if command[1].lower().startswith(begin)), "unknown")
+        if means == "end":
+            return
+        if means in REFUSED:
+            raise InputError(f"{where}: {REFUSED[means]}; see {PAGE}")
+        if match and text and (means != "start" or re.fullmatch(NUMBER, text)):
+            yield _Entry(means, name, text, number, where)
+        elif command and means in LEFT_OUT:
+            name = rest.partition("=")[0].strip() if means == "aux" else rest if means != "unknown" else shortened(line)
+            yield _Entry(means, name, rest, number, where)
+        elif command and means == "global":
+            yield _Entry(means, "", rest, number, where)
+        elif command and means == "table" and (table := re.fullmatch(rf"({NAME}) (.+)", rest)):
+            yield _Entry(means, table[1], table[2], number, where)
+        elif command and means in ("parameters", "let", "start") and rest:
+            for name, value in _values(rest, where):
+                yield _Entry(means, name, value, number, where)
+        else:
+            if count == 0 and re.match(r"\d", line):
+                raise InputError(f"{where}: is of XPPAUT's old form; convert the file by xppaut -convert; see {PAGE}")
             raise InputError(f"{where}: is not understood; read are par a=1, number a=1, init x=1, x(0)=1, x'=, "
-                             "dx/dt=, f(x)=, a=, !a=, aux and @; write it by these, or leave it out")  # fmt: skip
-        yield from (_Entry(table, name.strip(), text.strip(), number, where) for table, name, text in defined)
+                             f"dx/dt=, f(x)=, a=, !a=, table, global, aux, @; see {PAGE}")  # fmt: skip
 
 
-def _defined(line: str) -> list[tuple[str, str, str]] | None:
-    """(table, name, text) of what a line defines, None where it is not understood."""
-    if line.startswith("@"):
-        total = re.search(rf"\btotal ?= ?({NUMBER})", line, re.IGNORECASE)
-        return [("total", "duration", total[1])] if total and float(total[1]) > 0 else []
-    listed = re.fullmatch(r"([A-Za-z]\w*) (?![=(/'])(.*)", line)
-    command = listed[1].lower() if listed else ""
-    if listed and command in LISTS:
-        whole = re.fullmatch(f"(?:{VALUE})+", listed[2])
-        return [(LISTS[command], name, text) for name, text in re.findall(VALUE, listed[2])] if whole else None
-    matches = ((table, re.fullmatch(form, line, re.IGNORECASE)) for form, table in FORMS.items())
-    defined = [(table, match[1], match[2]) for table, match in matches if match]
-    return [] if command in LEFT_OUT else defined or None
-
-
-def _translated(entry: _Entry, spelled: Mapping[str, str]) -> str:
-    """A right-hand side as our expressions are written. Raises `InputError`."""
-    known = {"not": "not_", **spelled, **{word.lower(): word for word in WORD.findall(entry.name)[1:]}}
-    text = re.sub(r"\) ?(?:then|else) ?\(", ", ", entry.text, flags=re.IGNORECASE)
-    try:
-        text = _bracketed(text)
-    except (ValueError, RecursionError) as error:
-        why = "nested too deeply" if isinstance(error, RecursionError) else error
-        raise InputError(f"{entry.where}: {shortened(repr(entry.text))} is no expression ({why}); write it by numbers, "
-                         "names, + - * / ^, comparisons, &, |, brackets and functions") from error  # fmt: skip
-    return WORD.sub(lambda match: known.get(match[0].lower(), match[0].lower()), text)
+def _values(text: str, where: str) -> Iterator[tuple[str, str]]:
+    """(name, number) of `a=1, b=2 c`, 0 where none is given. Raises `InputError`."""
+    for part in re.split(r" ?, ?| ", re.sub(r" ?= ?", "=", text)):
+        name, sign, number = part.partition("=")
+        if not part:
+            continue
+        if not re.fullmatch(NAME, name) or (sign and not re.fullmatch(NUMBER, number)):
+            raise InputError(f"{where}: {shortened(repr(part))} is no name=number; write a=1, b=2; see {PAGE}")
+        yield name, number or "0"
 
 
 def _bracketed(text: str) -> str:
