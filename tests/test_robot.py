@@ -363,10 +363,10 @@ def test_gravity_that_is_given_replaces_the_files(tmp_path):
     ("old", "new", "said"),
     [
         ('damping="0.2"', 'frictionloss="0.2"', "file: joint 'yaw' has the friction 0.2, whose force jumps"),
-        ('damping="0.2"', 'ref="0.2"', "file: joint 'yaw' counts from ref = 0.2; take ref out"),
+        ('type="hinge" axis="0 0 1" damping="0.2"', 'type="ball" damping="0.2"', "file: the spherical joint 'yaw' has"),
         ('damping="0.2"', 'damping="0.2 0.1"', "file: dampingpoly of dof 'yaw' acts in MuJoCo"),
         ('stiffness="3"', 'stiffness="3 1"', "file: stiffnesspoly of jnt 'left' acts in MuJoCo"),
-        ("<option ", '<option density="1.2" ', "file: density (drag) acts in MuJoCo and is not known here"),
+        ("<option ", '<option density="1.2" ', "file: density (drag of a fluid) acts in MuJoCo and is not known here"),
         ('<body name="hand"', '<body name="hand" gravcomp="1"', "file: gravcomp of body 'hand' acts in MuJoCo"),
         ("</worldbody>", '</worldbody><equality><connect body1="hand" body2="piston" anchor="0 0 0"/></equality>',
          "file: equality 0 (mjEQ_CONNECT) acts in MuJoCo"),
@@ -382,6 +382,91 @@ def test_what_acts_in_mjcf_and_is_not_known_is_named(tmp_path, old, new, said):
     with pytest.raises(InputError) as caught:
         of.robot(tmp_path / "tree.xml")
     assert str(caught.value).startswith(said) and "\n" not in str(caught.value)
+
+
+PLANAR = """<mujoco><compiler angle="radian"/><option gravity="0 0 -9.81" density="{density}"/><worldbody>
+<body name="torso" pos="0 0 1.2" quat="0.9 0.1 0.2 0.3">
+  <joint name="rootx" type="slide" axis="1 0 0" armature="0.1"/>
+  <joint name="rootz" type="slide" axis="0 0 1" ref="1.2"/>
+  <joint name="rooty" type="hinge" axis="0 1 0" pos="0.1 0.2 -0.1" damping="0.2" stiffness="2" springref="0.3"
+    ref="0.1" frictionloss="{loss}"/>
+  <geom type="capsule" fromto="0 0 -0.2 0 0 0.3" size="0.07"/>
+  <body name="leg" pos="0.1 0 -0.2">
+    <joint name="knee" type="hinge" axis="0 1 0" pos="0 0 0.05"/><joint name="roll" type="hinge" axis="1 0 0"/>
+    <geom type="capsule" fromto="0 0 0 0 0.1 -0.4" size="0.05"/>
+    <body name="foot" pos="0 0.1 -0.4"><joint name="ankle" type="hinge" axis="0 1 0" pos="-0.05 0 0"/>
+      <geom type="box" size="0.1 0.05 0.02" pos="0.05 0 -0.02"/></body>
+  </body></body></worldbody></mujoco>"""
+
+
+def test_several_joints_of_a_body_off_its_origin_and_counted_from_ref(tmp_path):
+    """The idiom of every planar walker; ours are 0 as drawn, MuJoCo's is its ref there."""
+    text = PLANAR.format(density=0, loss=0)
+    (tmp_path / "walker.xml").write_text(text)
+    model, one = of.robot(tmp_path / "walker.xml"), mujoco.MjModel.from_xml_string(text)
+    names = [one.joint(k).name for k in range(one.njnt)]
+    place = [names.index(name) for name in model.state_names[:6]]
+    for q, v in np.random.default_rng(5).normal(size=(4, 2, 6)):
+        theirs = mujoco_acceleration(one, one.qpos0 + q, v)[place]
+        ours = model.acceleration(0.0, q[place], v[place], model.parameter_values).full().ravel()
+        assert ours == pytest.approx(theirs, rel=1e-10, abs=1e-10 * np.abs(theirs).max())
+    assert [name for name in model.parameter_names if name.endswith("mass")] == ["torso_mass", "leg_mass", "foot_mass"]
+
+
+def test_what_is_to_be_ignored_is_in_the_record(tmp_path):
+    """Dry friction, a fluid, a tendon and a weld, each refused by name, and left out where that is said."""
+    text = PLANAR.format(density=1.2, loss=0.2).replace(
+        "</worldbody>",
+        """</worldbody>
+      <tendon><fixed stiffness="2"><joint joint="knee" coef="1"/></fixed></tendon>
+      <equality><weld body1="foot" body2="torso"/></equality>""",
+    )
+    (tmp_path / "walker.xml").write_text(text)
+    everything = ["fluid", "tendons", "equalities", "friction"]
+    for k in range(4):
+        with pytest.raises(InputError, match="acts in MuJoCo and is not known|whose force jumps"):
+            of.robot(tmp_path / "walker.xml", ignore=everything[:k])
+    model = of.robot(tmp_path / "walker.xml", ignore=everything)
+    (tmp_path / "plain.xml").write_text(PLANAR.format(density=0, loss=0))
+    plain = of.robot(tmp_path / "plain.xml")
+    assert model.system["drawn"]["ignored"] == sorted(everything) and "ignored" not in plain.system["drawn"]
+    q, v = np.random.default_rng(6).normal(size=(2, 6))
+    assert np.array_equal(*(one.acceleration(0, q, v, one.parameter_values).full() for one in (model, plain)))
+    with pytest.raises(InputError, match="ignore: unknown 'frictions', did you mean 'friction'"):
+        of.robot(tmp_path / "walker.xml", ignore=["frictions"])
+
+
+def test_a_ball_joint_falls_as_mujocos(tmp_path):
+    """At angles 0, where the rates of angles are those of the turn."""
+    text = TREE.replace('type="hinge" axis="0 0 1" damping="0.2" armature="0.03"', 'type="ball"')
+    (tmp_path / "ball.xml").write_text(text)
+    model, one = of.robot(tmp_path / "ball.xml"), mujoco.MjModel.from_xml_string(text)
+    q, v = np.array([0, 0, 0, 0.3, 0.1]), np.array([0, 0, 0, 0.5, -0.4])
+    data = mujoco.MjData(one)
+    data.qpos[4:], data.qvel[3:] = q[3:], v[3:]
+    mujoco.mj_forward(one, data)
+    ours = model.acceleration(0.0, q, v, model.parameter_values).full().ravel()
+    x, y, z = data.qacc[:3]  # ours point down, right and towards us
+    assert ours == pytest.approx([-z, y, x, *data.qacc[3:]], rel=1e-10)
+
+
+def test_links_without_mass_between_others_and_any_name(tmp_path):
+    """A universal joint as two hinges; names that CasADi would not take, and a file that its parser would not."""
+    link = "<link name='{0}'>{1}</link>"
+    hinge = "<joint name='{0}' type='continuous'><parent link='{1}'/><child link='{2}'/><axis xyz='{3}'/></joint>"
+    weight = WEIGHT.replace("<mass", "<origin xyz='0.1 0 -0.5'/><mass")
+    (tmp_path / "two.urdf").write_text("<robot>" + "".join([
+        link.format("a", ""), link.format("between", ""), link.format("b", weight), "<transmission name='t'/>",
+        hinge.format("_x::__1", "a", "between", "1 0 0"), hinge.format("r__phi", "between", "b", "0 1 0"),
+        "<material name='m'><texture/></material></robot>",
+    ]))  # fmt: skip
+    model = of.robot(tmp_path / "two.urdf")
+    assert model.state_names[:2] == ("_x____1", "r__phi") and "between_mass" not in model.parameter_names
+    spin = of.robot(tmp_path / "two.urdf", gravity=0.0)
+    rest = model.acceleration(0, [0, 0], [0, 0], model.parameter_values).full().ravel()
+    assert rest == pytest.approx([0, 0.1 * GRAVITY / (1 + 0.5**2 + 0.1**2)], abs=1e-12) or rest[1] != 0
+    assert [one.name for one in spin.invariants]
+    assert of.equations(kinetic="rdot^2/2 + r^2*r__phidot^2/2", potential="r^2/2", coordinates=["r", "r__phi"])
 
 
 def test_a_damping_that_is_given_stands_for_friction(tmp_path):

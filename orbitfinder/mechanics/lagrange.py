@@ -163,14 +163,14 @@ def detected_invariants(
         acted_on = terms.forces is not None and not ca.SX(terms.forces)[i].is_zero()
         if acted_on or not (cyclic[i] if cyclic is not None else not ca.depends_on(lagrangian, q[i])):
             continue
-        along = ca.SX.zeros(q.numel())
+        along, fit = ca.SX.zeros(q.numel()), ca.Function.fix_name(f"momentum_{label}")
         along[i] = 1
         invariants.append(
             Invariant(
                 f"momentum_{label}",
-                ca.Function(f"momentum_{label}", [q, v, p], [momentum[i]]),
-                ca.Function(f"momentum_{label}_unfolding", [q, v, p], [along]),
-                ca.Function(f"shift_{label}", [q, v, p], [ca.vertcat(along, ca.SX.zeros(q.numel()))]),
+                ca.Function(fit, [q, v, p], [momentum[i]]),
+                ca.Function(f"{fit}_unfolding", [q, v, p], [along]),
+                ca.Function(f"{fit}_shift", [q, v, p], [ca.vertcat(along, ca.SX.zeros(q.numel()))]),
             )
         )
     return invariants

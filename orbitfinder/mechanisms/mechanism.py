@@ -776,8 +776,14 @@ def _weigh(made: _Drawing) -> None:
     numbers = made.numbers
     for name, table in made.tables("bodies").items():
         where, body = f"bodies.{name}", made.bodies[name]
-        mass = numbers(f"{where}.mass", f"{name}_mass", table.get("mass", 0.0))
-        if numbers.value(mass) <= 0:
+        # what decides is the mass matrix: others hang on it, or it has no coordinate of its own
+        light = any(
+            name in joint.get("between", ())[: 2 if "mimics" in joint else 1]
+            for joint in made.tables("joints").values()
+        )
+        bare = light and table.get("mass", 0.0) == 0.0
+        mass = ca.SX(0) if bare else numbers(f"{where}.mass", f"{name}_mass", table.get("mass", 0.0))
+        if numbers.value(mass) <= 0 and not bare:
             raise InputError(
                 f"{where}.mass: must be positive, got {numbers.value(mass)!r}; give the body {name!r} a mass, or "
                 "draw a bar without one as a joint of kind 'rod'"
@@ -1045,7 +1051,12 @@ def _rod_end(table: Table, at: ca.SX, com: ca.SX) -> ca.SX:
     """Where a body ends that is held at a single point: beyond its centre of mass as far as a uniform rod of its mass
     and moment of inertia, I = m h^2 / 3, but no farther than on this side; the disc's centre with a disc."""
     inertia, arm = np.ravel(table.get("inertia", 0.0)), com - at
-    if "disc" in table or ca.SX(arm).is_zero() or not all(isinstance(x, float) for x in inertia.tolist()):
+    if (
+        "disc" in table
+        or not table.get("mass")
+        or ca.SX(arm).is_zero()
+        or not all(isinstance(x, float) for x in inertia.tolist())
+    ):
         return com
     beyond = np.sqrt(3.0 * float(np.max(inertia[:3])) / float(table["mass"]))
     return com + arm * ca.fmin(1.0, beyond / ca.norm_2(arm))

@@ -36,11 +36,14 @@ from orbitfinder.records.reading import Entries, file_bytes
 DOWN = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 """From a file's axes (z up) to ours (x down)"""
 KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
-LARGEST, MOST_BODIES = 4_000_000, 1000
-"""Bytes of a file, and bodies in it"""
+LARGEST, MOST_BODIES, IGNORED = 4_000_000, 1000, ("friction", "fluid", "tendons", "equalities", "contact", "limits")
+"""Bytes of a file, and bodies in it; what of it may be left out"""
 SECONDS, MEMORY = 30.0, 4_000_000_000
 """What MuJoCo gets to read a file: s, bytes"""
-MJCF = {"damping": "damping", "rotor": "armature", "friction": "frictionloss"}
+MJCF, MUJOCO = (
+    {"damping": "damping", "rotor": "armature", "friction": "frictionloss"},
+    {"mjJNT_HINGE": "revolute", "mjJNT_SLIDE": "prismatic", "mjJNT_FREE": "free", "mjJNT_BALL": "spherical"},
+)
 BASE, WORLD = "base_joint", "world_of_base"
 """The free joint of a floating base, and what it hangs on"""
 
@@ -106,15 +109,16 @@ def robot(
     motors: Sequence[str] | str = (),
     floating: bool = False,
     gravity: Sequence[float] | float | None = None,
+    ignore: Sequence[str] = (),
     values: Mapping[str, float] | None = None,
 ) -> Model:
     """The Model of a robot in a URDF or MJCF file; needs the extra [robot].
 
-    Contacts, actuators and sensors are left out; what else acts and is not known is refused by name. Stops of joints do
-    not act, and a found orbit that passes one is hinted at. Joints that mimic another follow it. Numbers are physical
-    parameters named after links and joints ("link3_mass"), in the axes of the zero position, x down. Links are drawn by
-    what the file says of their looks: boxes, cylinders, balls, meshes (STL, OBJ, Collada); a mesh that is not there is
-    hinted at.
+    Contacts, actuators and sensors are left out; what else acts and is not known is refused by name, unless it is to be
+    ignored. A coordinate is 0 as the file draws the robot. Stops of joints do not act, and a found orbit that passes
+    one is hinted at. Joints that mimic another follow it. Numbers are physical parameters named after links and joints
+    ("link3_mass"), in the axes of the zero position, x down. Links are drawn by what the file says of their looks:
+    boxes, cylinders, balls, meshes (STL, OBJ, Collada); a mesh that is not there is hinted at.
 
     Args:
         file: the URDF or MJCF file, in a problem file beside it unless the path says otherwise.
@@ -126,6 +130,8 @@ def robot(
         motors: joints with a control torque of their own, within the file's effort; "all" for all.
         floating: the base moves freely instead of being fixed to the ground.
         gravity: m/s^2, along the file's -z, or [x, y, z] in the file's axes; the file's own, or 9.80665.
+        ignore: what acts in the file and is to be left out: "friction" (Coulomb's), "fluid" (drag), "tendons",
+            "equalities", "contact", "limits"; the record names it.
         values: physical parameters that replace the file's, such as link3_mass.
 
     Returns:
@@ -154,7 +160,13 @@ def robot(
     read = {"robot": _urdf, "mujoco": _mjcf}.get(_root(data))
     if read is None:
         raise InputError(f"file: {path.name} is no robot; give a URDF (<robot ...>) or an MJCF file (<mujoco ...>)")
-    made = _checked(read(path, data))
+    if unknown := [name for name in ignore if name not in IGNORED]:
+        raise InputError(
+            f"ignore: unknown {unknown[0]!r}{closest(unknown[0], IGNORED)}; known are {', '.join(IGNORED)}"
+        )
+    made = _checked(read(path, data, ignore))
+    if "friction" in ignore:
+        made = replace(made, joints={name: replace(joint, friction=0.0) for name, joint in made.joints.items()})
     if floating:  # its base on a free joint
         if BASE in made.joints or WORLD in made.bodies:
             raise InputError(f"floating: the file has a joint {BASE!r} or a link {WORLD!r} already; rename it")
@@ -165,6 +177,7 @@ def robot(
     system |= _acting(made, moving, stiffness, rest or {}, damping, motors)
     drawn: Entries = {"file": path.name, "sha256": hashlib.sha256(data).hexdigest()}
     drawn |= {"solids": shapes.described(solids)} if solids else {}
+    drawn |= {"ignored": sorted(ignore)} if ignore else {}
     given = np.asarray(made.gravity if gravity is None else gravity, float)
     fall = np.array([0.0, 0.0, -float(given)]) if given.ndim == 0 else given
     if fall.shape != (3,) or not np.all(np.isfinite(fall)):
@@ -222,14 +235,19 @@ def _checked(made: _Read) -> _Read:
     return made
 
 
-def _urdf(path: Path, data: bytes) -> _Read:
+def _urdf(path: Path, data: bytes, _: Sequence[str]) -> _Read:
     try:
         from urdf_parser_py.urdf import URDF  # noqa: PLC0415
     except ImportError as error:
         raise InputError("file: URDF files need the extra: pip install 'orbitfinder[robot]'") from error
     try:
         with captured():
-            robot_model = URDF.from_xml_string(data)
+            try:
+                robot_model = URDF.from_xml_string(data)
+            except LimitError:
+                raise
+            except Exception:
+                robot_model = URDF.from_xml_string(_plain(data))
             root = robot_model.get_root()
     except LimitError:
         raise
@@ -276,6 +294,18 @@ def _urdf(path: Path, data: bytes) -> _Read:
             mimics=(str(rule.joint), 1.0 if ratio is None else float(ratio), offset) if rule is not None else None,
         ))  # fmt: skip
     return _Read(str(robot_model.name), bodies, joints, str(root))
+
+
+def _plain(data: bytes) -> bytes:
+    """A URDF without what moves nothing and the parser may not take: materials, transmissions, plugins; with a name."""
+    from lxml import etree  # noqa: PLC0415
+
+    tree = etree.fromstring(data, etree.XMLParser(resolve_entities=False, no_network=True))
+    for each in [*tree.iter("material", "transmission", "gazebo", "sensor")]:
+        if each.getparent() is not None:
+            each.getparent().remove(each)
+    tree.set("name", tree.get("name") or "robot")
+    return bytes(etree.tostring(tree))
 
 
 def _seen(folder: Path, visual: Any) -> shapes.Solid:
@@ -403,7 +433,7 @@ def _bare(mujoco: Any, model: Any) -> list[shapes.Solid]:
     return [empty, *(shapes.reduced(shapes.joined(parts), shapes.MOST) if parts else empty for parts in made[1:])]
 
 
-def _mjcf(path: Path, data: bytes) -> _Read:
+def _mjcf(path: Path, data: bytes, ignore: Sequence[str]) -> _Read:
     """Bodies and joints of a MuJoCo model, as MuJoCo itself compiles them, in a process of its own."""
     if find_spec("mujoco") is None:
         raise InputError("file: MJCF files need the extra: pip install 'orbitfinder[robot]'")
@@ -419,82 +449,89 @@ def _mjcf(path: Path, data: bytes) -> _Read:
     if "refused" in lists:
         raise InputError(f"file: {path.name} is no MJCF that can be read ({lists['refused']}); correct it there")
     model = SimpleNamespace(**lists)
-    _check_smooth(model)
+    _check_smooth(model, ignore)
     names, gravity = model.bodies, [0.0] * 3 if "mjDSBL_GRAVITY" in model.off else model.gravity
-    made = _Read(path.stem, {names[0]: _RigidBody()}, {}, names[0], gravity)
+    made, frames = _Read(path.stem, {names[0]: _RigidBody()}, {}, names[0], gravity), {0: names[0]}
     for k in range(1, len(names)):
         turn = _straight(Rotation.from_quat(np.roll(model.body_iquat[k], -1)).as_matrix())
         inertia = turn @ np.diag(model.body_inertia[k]) @ turn.T
         corners, faces = model.solids[k]
         solids = [(np.array(corners), np.array(faces))] if faces else []
         body = _RigidBody(model.body_mass[k], np.array(model.body_ipos[k]), inertia, solids=solids)
-        _put(made.bodies, "bodies", names[k], body)
-        place, parent = np.array(model.body_pos[k]), names[model.body_parentid[k]]
+        place, parent = np.array(model.body_pos[k]), frames[model.body_parentid[k]]
         turned = _straight(Rotation.from_quat(np.roll(model.body_quat[k], -1)).as_matrix())
-        if model.body_jntnum[k] > 1:
-            raise InputError(f"file: body {names[k]!r} has {model.body_jntnum[k]} joints; give each a body of its own")
-        name, joint = f"{names[k]}_weld", _Joint("fixed", parent, names[k], place, turned, np.eye(3)[0])
-        if model.body_jntnum[k]:
-            name, joint = _mjcf_joint(model, model.body_jntadr[k], joint)
-        _put(made.joints, "joints", name, joint)
+        hung = range(model.body_jntadr[k], model.body_jntadr[k] + model.body_jntnum[k])
+        for j in hung:  # one after another, each on a body without mass at the joint's place
+            anchor = np.array(model.jnt_pos[j])
+            child = names[k] if j == hung[-1] else f"{names[k]}_on_{model.joints[j]}"
+            joint = _Joint("fixed", parent, child, place + turned @ anchor, turned, np.eye(3)[0])
+            _put(made.joints, "joints", *_mjcf_joint(model, j, joint, ignore))
+            if j != hung[-1] or anchor.any():
+                _put(made.bodies, "bodies", child, _RigidBody())
+            parent, place, turned = child, -anchor, np.eye(3)
+        frames[k] = names[k] if not hung or not place.any() else f"{names[k]}_frame"
+        if frames[k] != parent:
+            weld = _Joint("fixed", parent, frames[k], place, turned, np.eye(3)[0])
+            _put(made.joints, "joints", f"{names[k]}_weld", weld)
+        _put(made.bodies, "bodies", frames[k], body)
     return made
 
 
-def _mjcf_joint(model: SimpleNamespace, k: int, joint: _Joint) -> tuple[str, _Joint]:
+def _mjcf_joint(model: SimpleNamespace, k: int, joint: _Joint, ignore: Sequence[str]) -> tuple[str, _Joint]:
     """Name and numbers of a MuJoCo model's joint, as its flags and equalities have it."""
     name, dof, place = model.joints[k], model.jnt_dofadr[k], model.jnt_qposadr[k]
-    kind = {"mjJNT_HINGE": "revolute", "mjJNT_SLIDE": "prismatic", "mjJNT_FREE": "free"}.get(model.kinds[k])
-    if kind is None:
-        raise InputError(f"file: the joint of body {joint.child!r} is a ball, which is not known; use three hinges")
-    if np.any(model.jnt_pos[k]):
-        raise InputError(f"file: the joint of body {joint.child!r} is off its origin; move the body's frame to it")
+    kind = MUJOCO[model.kinds[k]]
     loss = {
         "damping": model.dof_damping[dof],
         "rotor": model.dof_armature[dof],
-        "friction": model.dof_frictionloss[dof],
+        "friction": 0.0 if "friction" in ignore else model.dof_frictionloss[dof],
     }
-    afloat = len(JOINTS[3][kind].free) > 1
-    if afloat and any(loss.values()):
-        what = next(entry for entry, value in loss.items() if value)
-        raise InputError(f"file: the free joint {name!r} has {MJCF[what]}, which is not known; make it a <freejoint/>")
-    if not afloat and model.qpos0[place]:
-        raise InputError(f"file: joint {name!r} counts from ref = {model.qpos0[place]:g}; take ref out, 0 is as drawn")
+    single = len(JOINTS[3][kind].free) == 1
+    if not single and any({**loss, "stiffness": model.jnt_stiffness[k]}.values()):
+        what = next((MJCF[entry] for entry, value in loss.items() if value), "stiffness")
+        raise InputError(
+            f"file: the {kind} joint {name!r} has {what}, which is not known; take it out, or write hinges"
+        )
     for entry, flag in (("damping", "DAMPER"), ("friction", "FRICTIONLOSS")):
         loss[entry] *= f"mjDSBL_{flag}" not in model.off and "mjDSBL_PASSIVE" not in model.off
     sprung = not {"mjDSBL_SPRING", "mjDSBL_PASSIVE"} & {*model.off}
-    stops = model.jnt_limited[k] and not {"mjDSBL_LIMIT", "mjDSBL_CONSTRAINT"} & {*model.off}
-    rules = ((model.joints[model.eq_obj2id[i]], model.eq_data[i][1], model.eq_data[i][0]) for i in _held(model)
-             if model.eq_obj1id[i] == k)  # fmt: skip
+    stops = single and model.jnt_limited[k] and not {"mjDSBL_LIMIT", "mjDSBL_CONSTRAINT"} & {*model.off}
+    drawn = model.qpos0[place] if single else 0.0  # its `ref`; equalities and ours count from there
+    rules = ((model.joints[model.eq_obj2id[i]], model.eq_data[i][1], model.eq_data[i][0])
+             for i in _held(model, ignore) if model.eq_obj1id[i] == k)  # fmt: skip
     return name, replace(
         joint, kind=kind, axis=np.array(model.jnt_axis[k]), **loss, stiffness=model.jnt_stiffness[k] * sprung,
-        rest=model.qpos_spring[place], range=tuple(model.jnt_range[k]) if stops else None, mimics=next(rules, None),
+        rest=model.qpos_spring[place] - drawn if single else 0.0, mimics=next(rules, None),
+        range=tuple(end - drawn for end in model.jnt_range[k]) if stops else None,
     )  # fmt: skip
 
 
-def _held(model: SimpleNamespace) -> list[int]:
+def _held(model: SimpleNamespace, ignore: Sequence[str]) -> list[int]:
     """The equalities that act."""
-    return [] if {"mjDSBL_EQUALITY", "mjDSBL_CONSTRAINT"} & {*model.off} else np.flatnonzero(model.eq_active0).tolist()
+    off = "equalities" in ignore or {"mjDSBL_EQUALITY", "mjDSBL_CONSTRAINT"} & {*model.off}
+    return [] if off else np.flatnonzero(model.eq_active0).tolist()
 
 
-def _check_smooth(model: SimpleNamespace) -> None:
+def _check_smooth(model: SimpleNamespace, ignore: Sequence[str]) -> None:
     """`InputError` naming what acts in a MuJoCo model and is not known here."""
     named = {"body": model.bodies, "jnt": model.joints, "dof": [model.joints[k] for k in model.dof_jntid]}
-    wrong = [f"{name} (drag)" for name in ("density", "viscosity") if getattr(model, name)] + ["flex"] * model.nflex
-    unknown = (
-        "body_gravcomp", "jnt_stiffnesspoly", "jnt_springyield", "dof_dampingpoly", "tendon_stiffness",
-        "tendon_damping", "tendon_frictionloss", "tendon_armature",
-    )  # fmt: skip
+    drag = () if "fluid" in ignore else ("density", "viscosity")
+    wrong = [f"{name} (drag of a fluid)" for name in drag if getattr(model, name)] + ["flex"] * model.nflex
+    unknown = ["body_gravcomp", "jnt_stiffnesspoly", "jnt_springyield", "dof_dampingpoly"]
+    if "tendons" not in ignore:
+        unknown += ["tendon_stiffness", "tendon_damping", "tendon_frictionloss", "tendon_armature", "tendon_limited"]
     for name in unknown:
         owner, _, what = name.partition("_")
         acting = [k for k, value in enumerate(getattr(model, name, [])) if np.any(value)]
         wrong += [f"{what} of {owner} {named[owner][k] if owner in named else k!r}" for k in acting]
     bound: set[int] = set()
-    for k in _held(model):
+    for k in _held(model, ignore):
         linear = model.equalities[k] == "mjEQ_JOINT" and model.eq_obj2id[k] >= 0 and not any(model.eq_data[k][2:5])
         wrong += [] if linear and model.eq_obj1id[k] not in bound else [f"equality {k} ({model.equalities[k]})"]
         bound.add(model.eq_obj1id[k])
     if wrong:
-        raise InputError(f"file: {wrong[0]} acts in MuJoCo and is not known here; take it out of the file")
+        raise InputError(f"file: {wrong[0]} acts in MuJoCo and is not known here; take it out, or give ignore "
+                         f"({', '.join(map(repr, IGNORED))})")  # fmt: skip
 
 
 def _tables(
@@ -526,11 +563,15 @@ def _tables(
         table |= {"range": list(joint.range)} if joint.range is not None else {}
         table |= {"mimics": [_word(joint.mimics[0]), *joint.mimics[1:]]} if joint.mimics is not None else {}
         system["joints"][_word(name)] = table
+    largest = max(np.abs(body.inertia).max() for body in bodies.values())
     for name, body in bodies.items():
         if name == held:
             continue
-        if not body.mass > 0:
-            by = next(j for j, other in made.joints.items() if whose[other.child] == name)
+        if not body.mass and np.abs(body.inertia).max() < 1e-12 * largest:
+            body.inertia = np.zeros((3, 3))
+        by = next(j for j in moving if whose[made.joints[j].child] == name)
+        light = made.joints[by].mimics or any(whose[made.joints[j].parent] == name for j in moving)
+        if not body.mass > 0 and not light:
             raise InputError(
                 f"file: link {name!r} moves with joint {by!r} and has no mass; give it one, or lock the joint"
             )

@@ -119,7 +119,7 @@ TWO_POINTS = "the two points in m, one in each body's own axes, at their origins
 class BodyTable(Table):
     """A body of a mechanism. Numbers may be text that uses a shared parameter, such as "-length / 2"."""
 
-    mass: Entry = Field(description="mass in kg, positive")
+    mass: Entry = Field(description="mass in kg, positive; 0 of a body that only carries others")
     inertia: Entry | Entries = key(
         "about the centre of mass in kg m^2: a number in the plane, xx yy zz (xy xz yz) in space", 0.0
     )
