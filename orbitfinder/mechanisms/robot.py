@@ -567,7 +567,7 @@ def _tables(
     for name, body in bodies.items():
         if name == held:
             continue
-        if not body.mass and np.abs(body.inertia).max() < 1e-12 * largest:
+        if np.abs(body.inertia).max() < 1e-12 * largest:  # round-off of its turn
             body.inertia = np.zeros((3, 3))
         by = next(j for j in moving if whose[made.joints[j].child] == name)
         light = made.joints[by].mimics or any(whose[made.joints[j].parent] == name for j in moving)
