@@ -461,7 +461,7 @@ def _mjcf(path: Path, data: bytes, ignore: Sequence[str]) -> _Read:
         place, parent = np.array(model.body_pos[k]), frames[model.body_parentid[k]]
         turned = _straight(Rotation.from_quat(np.roll(model.body_quat[k], -1)).as_matrix())
         hung = range(model.body_jntadr[k], model.body_jntadr[k] + model.body_jntnum[k])
-        for j in hung:  # one after another, each on a body without mass at the joint's place
+        for j in hung:  # in their order, each on a body without mass at the joint's place
             anchor = np.array(model.jnt_pos[j])
             child = names[k] if j == hung[-1] else f"{names[k]}_on_{model.joints[j]}"
             joint = _Joint("fixed", parent, child, place + turned @ anchor, turned, np.eye(3)[0])

@@ -267,7 +267,7 @@ OWN: dict[str, dict[str, tuple[Any, ...] | None]] = {
         "elements": (dict[str, ElementTable] | None, None), "forcing": (LoadTable | None, None),
     },
     "xpp": {
-        "path": None, "file": (Line, ..., "the XPPAUT file, beside this one"),
+        "path": None, "file": (Line, ..., "the XPPAUT file, in the folder of the problem file"),
         "parameters": (dict[str, float] | None, None, "other values of its parameters"),
     },
     "chain": {"links": (Annotated[int, Field(ge=1, le=2000)], ...)},  # the matrices of longer ones fill the memory

@@ -129,7 +129,7 @@ def from_xpp(path: str | Path, period: str | float | None = None, time: float | 
 def xpp_document(path: Path, period: str | float | None = None, time: float | None = None) -> Entries:
     """The problem file that an XPPAUT file stands for: its equations, and where its simulation starts."""
     if period is not None and time is not None:
-        raise InputError("time: what is taken at a time has no period; give one of them")
+        raise InputError("time: what is taken at a time has no period; leave period out")
     seen: dict[tuple[str, str], _Entry] = {}
     left_out, resets = list[str](), list[_Entry]()
     for entry in _entries(path):
