@@ -234,8 +234,9 @@ def unless_one(units: np.ndarray) -> tuple[float, ...]:
 
 def base_of(model: Model) -> float:
     """The base of the powers that the finder's flow is measured in: 2 where a motion shows its sizes, that of a smooth
-    mechanical system with lengths or with a forcing."""
-    shown = model.smooth and model.rates is None and (model.forced or not bool(model.angular.all()))
+    mechanical system with lengths or with a forcing; under constraints, where coordinates depend on each other, 256."""
+    free = model.rates is None and model.constraint is None
+    shown = model.smooth and free and (model.forced or not bool(model.angular.all()))
     return 2.0 if shown else COARSE
 
 
