@@ -24,7 +24,7 @@ import numpy as np
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder._runtime.rooms import loaded
-from orbitfinder.errors import InputError, closest, plural
+from orbitfinder.errors import InputError, closest, plural, shortened
 from orbitfinder.records.codec import Complexes, Filed, Unknown, check_format, entries_of, layout, plain, unsealed
 from orbitfinder.records.ends import unknown_end
 from orbitfinder.records.journal import append_line, read_lines
@@ -254,6 +254,10 @@ class End:
     error: float | None = None
     joined: Table | None = None
     saddles: tuple[Table, ...] | None = None
+
+    def __repr__(self) -> str:
+        """In a line: what it was solved for is in its fields."""
+        return f"End(kind={self.kind!r}, reason={shortened(self.reason, 200)!r})"
 
 
 def reached(name: str, value: float) -> str:
