@@ -372,8 +372,9 @@ def test_a_text_with_events_is_the_hybrid_system_of_python(tmp_path):
     assert known[0].period == pytest.approx(known[1].period, rel=1e-10)
     of.save_orbit(known[0], tmp_path / "orbit.json")
     assert command("verify", tmp_path / "orbit.json").exit_code == 0
+    numbers = SPIKE | {"reset": {"v": -65}}
     assert (
-        of.equations(NEURON, VALUES, events={"spike": SPIKE}, cycle=["spike", "spike"]).hybrid.cycle == ("spike",) * 2
+        of.equations(NEURON, VALUES, events={"spike": numbers}, cycle=["spike", "spike"]).hybrid.cycle == ("spike",) * 2
     )
 
 
@@ -384,12 +385,15 @@ def test_a_text_with_events_is_the_hybrid_system_of_python(tmp_path):
         ({"spike": SPIKE | {"reset": {"w": "1"}}}, "events.spike.reset: 'w' is no state; states are v, u"),
         ({"spike": SPIKE | {"guard": "w"}}, "events.spike.guard: unknown name 'w'"),
         ({"spike": SPIKE | {"reset": {"v": "w"}}}, "events.spike.reset.v: unknown name 'w'"),
-        ({"spike": SPIKE | {"direction": 0}}, "direction must be -1"), ({"spike": {"guard": "I"}}, "never crossed"),
+        ({"spike": SPIKE | {"direction": 0}}, "events.spike: got"), ({"spike": {"guard": "I"}}, "never crossed"),
+        ({"spike": SPIKE | {"direction": "up"}}, "events.spike: got"),
         ({"spike": SPIKE | {"guard": "v - t"}}, "depends on the time t"),
     ],
 )  # fmt: skip
 def test_wrong_events_are_refused_by_name(events, why):
     assert why in refused(rates=NEURON, parameters=VALUES, events=events)
+    with pytest.raises(InputError, match="cycle: has no meaning without events"):
+        of.equations(NEURON, VALUES, cycle=["spike"])
     with pytest.raises(InputError, match="has no meaning beside kinetic"):
         of.equations(kinetic="vdot^2/2", coordinates=["v"], events=events)
 

@@ -32,7 +32,7 @@ FORMS = {
 }  # fmt: skip
 """What says the equations, with the keys that only some have"""
 RESERVED, MOST, EVENT = (
-    {"t", "pi", "and", "or", "not", "True", "False", "None", *FUNCTIONS} - {"sign", "floor", "erf"}, 200_000,
+    {"t", "pi", "and", "or", "not", "True", "False", "None", *FUNCTIONS} - {"sign", "floor", "erf", "mod"}, 200_000,
     {"guard", "direction", "reset"},
 )  # fmt: skip
 """What nothing else may be called, but for functions that came later; letters of all texts, and operations that
@@ -65,8 +65,8 @@ def equations(
     """The Model of equations as text: x' = f(t, x, p), Hamilton's of H(q, p), or Lagrange's of T - V with forces.
 
     Of names, numbers, pi, the time t, + - * / ^ **, comparisons, `and`, `or`, `not`, and sin, cos, tan, asin, acos,
-    atan, atan2, sinh, cosh, tanh, exp, log, sqrt, erf, abs, sign, floor, min, max, if(condition, then, else). Nothing
-    is executed.
+    atan, atan2, sinh, cosh, tanh, exp, log, sqrt, erf, abs, sign, floor, mod, min, max, if(condition, then, else).
+    Nothing is executed.
 
     Args:
         rates: x' by the name of each state.
@@ -260,6 +260,8 @@ def _first_order(find: bool, given: Table, names: Sequence[str]) -> Model:
 
     flow = ode(field, names, given["parameters"], find_invariants=find, **_common(given))
     if "events" not in given:
+        if "cycle" in given:
+            raise InputError("cycle: has no meaning without events; leave it out")
         return flow
     return hybrid({"flow": flow}, [*_transitions(given, names)], given.get("cycle"), system=given)
 
@@ -268,7 +270,8 @@ def _transitions(given: Table, names: Sequence[str]) -> Iterator[Transition]:
     """The events of a text. Raises `InputError`."""
     for name, event in given["events"].items():
         where, reset = f"events.{name}", event.get("reset", {})
-        if not isinstance(event.get("guard"), str) or not isinstance(reset, Mapping) or event.keys() - EVENT:
+        direction, told = event.get("direction", 1), isinstance(event.get("guard"), str) and isinstance(reset, Mapping)
+        if not told or event.keys() - EVENT or direction not in (-1, 1):
             raise InputError(f"{where}: got {shortened(repr(event))}; give guard = 'v - 30', direction = 1 or -1, and "
                              "reset = {v = 'c'}")  # fmt: skip
         if strange := [state for state in reset if state not in names]:
@@ -280,9 +283,9 @@ def _transitions(given: Table, names: Sequence[str]) -> Iterator[Transition]:
 
         def after(x: Named, p: Named, reset: Mapping[str, str] = reset, where: str = where) -> Any:
             read = _reader(given, ca.SX.sym("t"), x, p)
-            return changed(x, **{state: read(text, f"{where}.reset.{state}") for state, text in reset.items()})
+            return changed(x, **{state: read(str(text), f"{where}.reset.{state}") for state, text in reset.items()})
 
-        yield Transition(name, "flow", "flow", guard, after, int(event.get("direction", 1)))
+        yield Transition(name, "flow", "flow", guard, after, int(direction))
 
 
 def _common(given: Table) -> Entries:

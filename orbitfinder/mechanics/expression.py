@@ -24,13 +24,14 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "sqrt": ca.sqrt, "exp": ca.exp, "log": ca.log, "tanh": ca.tanh,
     "sinh": ca.sinh, "cosh": ca.cosh, "asin": ca.asin, "acos": ca.acos, "atan": ca.atan, "atan2": ca.atan2,
     "abs": ca.fabs, "sign": ca.sign, "floor": ca.floor, "erf": ca.erf,
+    "mod": lambda x, y: x - y * ca.floor(x / y),
     "min": lambda *each: reduce(ca.fmin, each), "max": lambda *each: reduce(ca.fmax, each),
     "if": lambda condition, this, that: (  # one of numbers alone is settled here
         (this if condition else that) if isinstance(condition, float) else ca.if_else(condition, this, that)
     ),
 }  # fmt: skip
 """What may be called in an expression."""
-LONGEST, DEEPEST, COUNTS = 20_000, 60, {"atan2": (2, 2), "if": (3, 3), "min": (2, 20), "max": (2, 20)}
+LONGEST, DEEPEST, COUNTS = 20_000, 60, {"atan2": (2, 2), "mod": (2, 2), "if": (3, 3), "min": (2, 20), "max": (2, 20)}
 """Letters of an expression, how deeply it may be nested, and the fewest and most arguments of what does not take 1"""
 OWN, MARK = sorted({*keyword.kwlist} - {"and", "or", "not", "True", "False", "None"}), "\u01c1"
 WORDS = re.compile(rf"\b({'|'.join(OWN)})\b(?!\s*:)")

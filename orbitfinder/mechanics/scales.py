@@ -248,7 +248,7 @@ def units_of(model: Model, states: np.ndarray, period: float, base: float = COAR
     nothing: time is tau, angles are in rad, and the unit of length is a quarter of the largest.
     """
     clock, n = period / (2 * np.pi), model.degrees_of_freedom
-    if model.constraint is not None and base:  # integrated by IDAS
+    if model.constraint is not None:  # integrated by IDAS
         return ()
     largest = np.abs(states).max(axis=0)
     if model.rates is not None:

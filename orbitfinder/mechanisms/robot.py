@@ -131,7 +131,7 @@ def robot(
         floating: the base moves freely instead of being fixed to the ground.
         gravity: m/s^2, along the file's -z, or [x, y, z] in the file's axes; the file's own, or 9.80665.
         ignore: what acts in the file and is to be left out: "friction" (Coulomb's), "fluid" (drag), "tendons",
-            "equalities", "contact", "limits"; the record names it.
+            "equalities"; "contact" and "limits" never act. The record names it.
         values: physical parameters that replace the file's, such as link3_mass.
 
     Returns:
@@ -165,8 +165,6 @@ def robot(
             f"ignore: unknown {unknown[0]!r}{closest(unknown[0], IGNORED)}; known are {', '.join(IGNORED)}"
         )
     made = _checked(read(path, data, ignore))
-    if "friction" in ignore:
-        made = replace(made, joints={name: replace(joint, friction=0.0) for name, joint in made.joints.items()})
     if floating:  # its base on a free joint
         if BASE in made.joints or WORLD in made.bodies:
             raise InputError(f"floating: the file has a joint {BASE!r} or a link {WORLD!r} already; rename it")
@@ -235,7 +233,7 @@ def _checked(made: _Read) -> _Read:
     return made
 
 
-def _urdf(path: Path, data: bytes, _: Sequence[str]) -> _Read:
+def _urdf(path: Path, data: bytes, ignore: Sequence[str]) -> _Read:
     try:
         from urdf_parser_py.urdf import URDF  # noqa: PLC0415
     except ImportError as error:
@@ -289,7 +287,8 @@ def _urdf(path: Path, data: bytes, _: Sequence[str]) -> _Read:
         _put(joints, "joints", joint.name, _Joint(
             KINDS[joint.type], joint.parent, joint.child, place, turn, axis,
             damping=float(getattr(worn, "damping", None) or 0.0),
-            friction=float(getattr(worn, "friction", None) or 0.0), limit=float(getattr(limit, "effort", None) or 0.0),
+            friction=0.0 if "friction" in ignore else float(getattr(worn, "friction", None) or 0.0),
+            limit=float(getattr(limit, "effort", None) or 0.0),
             range=(low, high) if low < high and joint.type != "continuous" else None,
             mimics=(str(rule.joint), 1.0 if ratio is None else float(ratio), offset) if rule is not None else None,
         ))  # fmt: skip

@@ -24,7 +24,7 @@ from orbitfinder.records.reading import Entries, file_beside, file_bytes
 
 NAME, NUMBER = r"[A-Za-z_]\w*", r"[+-]?(?:\d++\.?\d*+|\.\d++)(?:[eE][+-]?\d++)?"
 PAGE, WORD = "docs/how-to/xppaut.md", re.compile(rf"(?<![\w.]){NAME}")
-RANGE, INDEX = re.compile(r"\[(-?\d+) ?\.\. ?(-?\d+)\]"), re.compile(r"\[j ?(?:([+*-]) ?(\d+))?\]", re.IGNORECASE)
+RANGE, INDEX = re.compile(r"\[(-?\d{1,6}) ?\.\. ?(-?\d{1,6})\]"), re.compile(r"\[j ?(?:([+*-]) ?(\d{1,6}))?\]", re.I)
 COMMANDS, LEFT_OUT = (
     {"d": "end", "gr": "group", "ma": "markov", "so": "algebraic", "au": "aux", "ve": "special", "sp": "special",
      "ex": "export", "on": "only", "v": "volterra", "ta": "table", "p": "parameters", "w": "wiener", "n": "let",
@@ -48,15 +48,14 @@ REFUSED, STRANGE = (
      **dict.fromkeys(("besselj", "bessely", "besseli", "hom_bcs"), "is not known here; write it out")},
 )  # fmt: skip
 """Lines, and functions of XPPAUT's, that make no ordinary differential equation here, and why"""
-LONGEST, MOST_LINES, MOST_ROWS, ROWS = 20_000, 20_000, 1000, 50
+LONGEST, MOST_LINES, MOST_ROWS, ROWS = 20_000, 5_000, 1000, 50
 """Letters of a line with those that it goes on in; lines with those that arrays stand for; rows of a table, and of each
 text that it is written in"""
 PRIORITIES, OWN = (
     {**dict.fromkeys(("+", "-", "|", "||"), 4), **dict.fromkeys(("*", "/", "&", "&&"), 6),
      **dict.fromkeys(("^", "**", ">", "<", "==", ">=", "<=", "!="), 7)},
     {"heav": ("heav(u)", "if(u >= 0, 1, 0)"), "ln": ("ln(u)", "log(u)"), "log10": ("log10(u)", "log(u)/log(10)"),
-     "not": ("not_(u)", "if(u, 0, 1)"), "flr": ("flr(u)", "floor(u)"), "erfc": ("erfc(u)", "1 - erf(u)"),
-     "mod": ("mod(u, v)", "u - v*floor(u/v)")},
+     "not": ("not_(u)", "if(u, 0, 1)"), "flr": ("flr(u)", "floor(u)"), "erfc": ("erfc(u)", "1 - erf(u)")},
 )  # fmt: skip
 """How tightly operators bind, all from the left, a minus and a not before something as a product does; XPPAUT's
 functions that are written out in ours"""
@@ -204,7 +203,7 @@ class _Definitions:
         used, waiting = set[str](), list(texts)
         while waiting:
             text = waiting.pop()
-            with suppress(ValueError):  # is refused where it is read
+            with suppress(ValueError, RecursionError):  # is refused where it is read
                 text = self._shifted(_summed(text))
             new = {word.lower() for word in WORD.findall(text)} - used
             used |= new
@@ -257,13 +256,13 @@ class _Definitions:
 
     def _shifted(self, text: str) -> str:
         """A text in which shift(x,k) is the variable, or the parameter, k places after x. Raises `ValueError`."""
-        orders = [[entry for key in keys for entry in self.tables[key] if "(" not in entry.name]
-                  for keys in (("rates", "let"), ("parameters",))]  # fmt: skip
         while match := re.search(r"\bshift ?\(", text, re.IGNORECASE):
             within, close = _inside(text, match.end())
             name, _, offset = within.partition(",")
-            words = next((each for order in orders if name.strip().lower() in (each := [e.word for e in order])), [])
-            place = float(expression(_bracketed(offset), {}, "shift", {"mod": _Modulo(), "flr": math.floor}))
+            orders = ([entry.word for key in keys for entry in self.tables[key] if "(" not in entry.name]
+                      for keys in (("rates", "let"), ("parameters",)))  # fmt: skip
+            words = next((each for each in orders if name.strip().lower() in each), [])
+            place = float(expression(_bracketed(offset), {}, "shift", {"flr": math.floor}))
             k = words.index(name.strip().lower()) + int(place) if words else -1
             if not 0 <= k < len(words):
                 raise ValueError(f"shift({within}) is no variable and no parameter")
@@ -272,9 +271,9 @@ class _Definitions:
 
     def _rows(self, entry: _Entry) -> dict[str, str]:
         """A table as functions, straight between its rows and beyond them, as XPPAUT has it. Raises `InputError`."""
-        if formula := re.fullmatch(rf"% ?(\d+) ({NUMBER}) ({NUMBER}) (.*)", entry.text):
+        if formula := re.fullmatch(rf"% ?(\d{{1,6}}) ({NUMBER}) ({NUMBER}) (.*)", entry.text):
             count, low, high = int(formula[1]), float(formula[2]), float(formula[3])
-            if not (2 <= count <= MOST_ROWS and low < high):
+            if not (2 <= count <= MOST_ROWS and 0 < high - low < math.inf):
                 raise entry.fault(f"has {count} rows from {low} to {high}; give 2 to {MOST_ROWS} of them, rising")
             places, name = np.linspace(low, high, count).tolist(), self.spelled[entry.word]
             made = {f"{name}_at(t_1)": self.text(replace(entry, name=f"{name}(t)"), formula[4])}
@@ -311,15 +310,6 @@ class _Definitions:
         ]
 
 
-class _Modulo:
-    """x modulo y, of numbers."""
-
-    count = 2
-
-    def __call__(self, x: float, y: float) -> float:
-        return x % y
-
-
 def _argument(name: str) -> str:
     """What an argument of a function is called here."""
     return f"{name}_1" if name.lower() in RESERVED else name
@@ -341,14 +331,18 @@ def _summed(text: str) -> str:
         raise ValueError("an integral int{...} over the past is no part of a differential equation")
     while match := re.search(r"\bsum ?\(", text, re.IGNORECASE):
         limits, end = _inside(text, match.end())
-        of, numbers = re.match(r" ?of ?\(", text[end:], re.IGNORECASE), re.fullmatch(r" ?(-?\d+) ?, ?(-?\d+) ?", limits)
+        of, numbers = (
+            re.match(r" ?of ?\(", text[end:], re.IGNORECASE),
+            re.fullmatch(r" ?(-?\d{1,6}) ?, ?(-?\d{1,6}) ?", limits),
+        )
         if of is None or numbers is None:
             raise ValueError("a sum is written sum(0,9)of(...), with numbers as its bounds")
         body, close = _inside(text, end + of.end())
-        terms = [re.sub(r"\bi'", str(k), body) for k in range(int(numbers[1]), int(numbers[2]) + 1)][:LONGEST]
-        text = f"{text[: match.start()]}({'+'.join(f'({term})' for term in terms) or '0'}){text[close:]}"
-        if len(text) > LONGEST:
+        over = range(int(numbers[1]), int(numbers[2]) + 1)
+        if len(text) + len(over) * (len(body) + 3) > LONGEST:
             raise ValueError(f"more than {LONGEST} letters with its sums written out")
+        terms = "+".join("(" + re.sub(r"\bi'", str(k), body) + ")" for k in over)
+        text = f"{text[: match.start()]}({terms or 0}){text[close:]}"
     return text
 
 
