@@ -1,5 +1,7 @@
 """What the certificates of 0.2.0 passed, or refused, wrongly: each by the shortest system that shows it."""
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -14,6 +16,7 @@ from orbitfinder.loops.symmetry import symplectic
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.orbits.between import primes
 from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.evidence import gather
 
 ROOT = Path(__file__).parents[1]
 Q, V = ca.SX.sym("q"), ca.SX.sym("v")
@@ -195,10 +198,37 @@ def test_points_of_a_family_have_the_action_of_their_own_place():
 
 
 def test_a_swing_nearly_to_the_top_keeps_its_energy_as_well_as_it_closes():
-    """From the bottom, 1e-3 rad below upright: a gap of 2e-9, left by growing errors, turns the energy's slope."""
+    """From the bottom, 1e-3 rad below upright: a gap of 2e-9, left by growing errors, turns the energy's slope, and
+    the one where the motion ends is compared."""
     below, squared = 1e-3, 1.5 * 9.8
     period = 4 * float(ellipkm1(np.sin(below / 2) ** 2)) / np.sqrt(squared)
     state = np.array([0.0, 2 * np.sqrt(squared) * np.cos(below / 2)])
     certificate = certify(record(of.chain(1), state, period), of.chain(1))
     kept = check(certificate, "trivial_multipliers")
-    assert 1e-8 < kept.value < kept.tolerance and certificate.passed
+    assert kept.value < 1e-12 and certificate.passed
+
+
+@pytest.mark.parametrize("off", [1e-8, -1e-8])
+def test_beside_a_saddle_another_period_is_another_orbits(off):
+    """A state 1e-14 away has the period that is 1e-8 off; the one at this energy has not."""
+    for below in (1e-1, 1e-2, 1e-3):
+        squared = 1.5 * 9.8
+        period = 4 * float(ellipkm1(np.sin(below / 2) ** 2)) / np.sqrt(squared)
+        for state in ([0.0, 2 * np.sqrt(squared) * np.cos(below / 2)], [np.pi - below, 0.0]):
+            true, wrong = (record(of.chain(1), np.array(state), period * factor) for factor in (1.0, 1 + off))
+            kept = certify(true, of.chain(1))
+            assert kept.passed and kept.period_error < 1e-8 * period, (below, kept.failures)
+            assert "distance" in certify(wrong, of.chain(1)).failures
+
+
+def test_past_a_primary_the_gradients_are_those_where_the_motion_ends():
+    """A gap of 1e-8 in extents that grows 2e5 times: their difference from those at the start was 2.5e-8 of the map."""
+    known = json.loads((ROOT / "tests" / "data" / "restricted_orbits.json").read_text())["orbits"]
+    ratio, x0, speed, period = next(
+        [float(one[key]) for key in ("ratio", "x0", "ydot0", "period")] for one in known if one["ydot0"][:6] == "-1.566"
+    )
+    model, state = of.systems.restricted_three_body(ratio), np.array([x0, 0.0, 0.0, speed + 1e-12])
+    certificate = certify(record(model, state, period), model)
+    assert check(certificate, "trivial_multipliers").value < 1e-9 and certificate.passed
+    seen = gather(model, state, period, np.zeros(2, int))
+    assert seen.tour.trivial < 1e-9 and replace(seen.tour, ended=None).trivial > 1e-8

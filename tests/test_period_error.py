@@ -1,6 +1,7 @@
 """The error bar of a period: references of 20 digits lie inside, it is small, and a displaced record's is wider."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import pytest
 import orbitfinder as of
 from orbitfinder.records.certificate import Certificate
 from orbitfinder.records.codec import entries_of
+
+ROOT = Path(__file__).parents[1]
 
 
 def brusselator(units=1.0, rate=2.5):
@@ -50,6 +53,13 @@ def test_a_conservative_orbit_is_compared_at_its_energy(report_orbits):
     for orbit in report_orbits.values():
         certificate = of.certify(orbit)
         assert 0 < certificate.period_error < 1e-9 * orbit.period
+
+
+@pytest.mark.parametrize("name", ["four-bar-rotating", "four-bar-drag-link"])
+def test_a_linkage_knows_its_period(name):
+    """In coordinates that its loops bind: along what they forbid nothing changes a period. Was 2.3 and 8.9 of it."""
+    orbit = of.load_orbit(ROOT / "results" / "proofs" / "linkages" / f"{name}.json")
+    assert 0 < of.certify(orbit).period_error < 1e-11 * orbit.period
 
 
 def test_a_forced_period_has_no_error():

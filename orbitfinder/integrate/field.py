@@ -85,8 +85,8 @@ class Library:
 
     def __init__(self, path: Path) -> None:
         library = shared(path)
-        self._dop853, self._rates = library.dop853, library.rates
-        self._stepped, self._strayed = library.stepped, library.strayed
+        self._dop853, self._rates = library["dop853"], library["rates"]
+        self._stepped, self._strayed = library["stepped"], library["strayed"]
         self._dop853.argtypes = [ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_void_p, ctypes.c_void_p]
         self._rates.argtypes = [*[ctypes.c_ssize_t] * 2, *[ctypes.c_void_p] * 5]
         self._stepped.argtypes = [*[ctypes.c_ssize_t] * 2, *[ctypes.c_void_p] * 6]

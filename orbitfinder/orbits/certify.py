@@ -280,7 +280,8 @@ class Trial:
         gap, grown = self.seen.closes.worst
         note += f"{gap / (EPSILON * grown):.2g} round-offs grown {grown:.3g} times"
         yield at_most("closure", gap, self.asked * min(grown, LARGEST_SCALE), note)
-        yield at_most("distance", self.seen.closes.distance, max(self.allowed.distance, known), f"of the true {of}")
+        apart = max(self.seen.closes.distance, self.seen.closes.late)
+        yield at_most("distance", apart, max(self.allowed.distance, known), f"of the true {of}")
         tolerance = self.allowed.second_closure * self.scale
         yield at_most("second_closure", self.second, tolerance, second)
 

@@ -13,6 +13,8 @@ which sees the shear that the multipliers do not. The distance to the true orbit
 
 of (Phi - 1, f T), of singular value s known to e, but for the gradients of invariants and of constraints, along which
 nothing could close a gap. No other direction is free: a multiplier near 1 makes the distance large, or infinite.
+Beside a saddle a state nearer than round-off has any period: what the period is off that of the orbit with the same
+invariants, beyond what round-off hides, is `late`, and is allowed no more than the distance.
 
 The error bar of the period is the largest d tau of such a correction across the flow, at the values that are kept,
 with the gap and what round-off may add to it of any signs.
@@ -38,6 +40,8 @@ REACHES = 1e-3
 MATRIX, STILL, SHAKEN = 1e-13, 1e-9, 3.0
 """Relative error of a state-transition matrix, as it is integrated. A component that moves less than this share of its
 size loses what it does to the round-off of all steps; that of some 400 of others comes to so many eps"""
+TAKEN = 10.0
+"""Round-offs of the state that a period takes up: 1 to 5 beside a pendulum's saddle"""
 ROUND_OFF = 30.0
 """Gaps of true orbits are 0.1 to 30 times eps A (benchmarks/closure_rule.py)."""
 
@@ -46,7 +50,8 @@ ROUND_OFF = 30.0
 class Closure:
     """The largest component of the gap in extents of the motion, A, the distance to the true orbit, gap and A of the
     `worst` part of the state that nothing else drives, which may be the whole, the distance `across` the direction
-    that is determined least, for an orbit that a further condition fixes, and the relative error of the period."""
+    that is determined least, for an orbit that a further condition fixes, the relative error of the period, and what it
+    is `late` in any case."""
 
     gap: float
     amplification: float
@@ -54,6 +59,7 @@ class Closure:
     worst: tuple[float, float]
     across: float
     period_error: float = 0.0
+    late: float = 0.0
 
 
 def closes(
@@ -75,26 +81,36 @@ def closes(
         inner = [one[np.ix_(own, own)] for one in transitions]
         parts.append((float(np.abs(gap[own]).max()), carried(inner, sizes[own])[1]))
     worst = max(parts, key=lambda part: part[0] / min(part[1], LARGEST_SCALE))
-    late = 0.0 if kept is None or rate is None else _late(gap, whole, rate, kept)
     unit = np.eye(gap.size)
     stays = (np.reshape(transitions, (-1, *unit.shape)) == unit).all(axis=(0, 2)) & (states == states[0]).all(axis=0)
     free, basis = unit[stays & (gap == 0)], unit if basis is None else basis
     frame = basis @ complement(free @ basis, (free if kept is None else kept) @ basis)
     off, across = distance(frame.T @ gap, (-frame.T, frame.T), transitions, states, rate)
-    return Closure(widest, whole[1], off, worst, across, late)
+    late = (0.0, 0.0)
+    if kept is not None and rate is not None:
+        late = _late(gap, transitions, sizes, whole[1], np.vstack([rate, kept]), basis)
+    return Closure(widest, whole[1], off, worst, across, *late)
 
 
-def _late(gap: np.ndarray, carried: tuple[np.ndarray, float], rate: np.ndarray, kept: np.ndarray) -> float:
-    """By what share of it the period of the true orbit may be another; infinite where none is isolated."""
-    monodromy, grown = carried
-    rows = np.vstack([rate, kept]) / nonzero(np.linalg.norm(np.vstack([rate, kept]), axis=1, keepdims=True))
+def _late(
+    gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, grown: float, rows: np.ndarray,
+    basis: np.ndarray,
+) -> tuple[float, float]:  # fmt: skip
+    """By what share of it the period of the true orbit may be another, infinite where none is isolated, and is, beyond
+    what round-off of the state hides; `rows` (k x m) are f T and the gradients of what is kept."""
+    later = list(accumulate(reversed(transitions), np.matmul, initial=np.eye(sizes.size)))
+    rate, rows = basis.T @ rows[0], rows @ basis
+    rows = rows / nonzero(np.linalg.norm(rows, axis=1, keepdims=True)) * grown  # the least row: their shares cost little
     bordered = np.vstack([
-        np.column_stack([monodromy - np.eye(gap.size), rate]), np.column_stack([rows, np.zeros(len(rows))]),
+        np.column_stack([basis.T @ later[-1] @ basis - np.eye(rate.size), rate]),
+        np.column_stack([rows, np.zeros(len(rows))]),
     ])  # fmt: skip
-    if not np.isfinite(bordered).all():
-        return np.inf
-    row = np.linalg.pinv(bordered)[-1, : gap.size]
-    return float(np.abs(row) @ (np.abs(gap) + ROUND_OFF * EPSILON * grown))
+    row = np.linalg.pinv(bordered)[-1, : rate.size] if np.isfinite(bordered).all() else 0 * rate
+    if not row @ rate > 0.5:  # which is 1
+        return np.inf, 0.0
+    row = basis @ row
+    hidden = TAKEN * EPSILON * max(np.linalg.norm(row @ after * sizes) for after in later)
+    return float(np.abs(row) @ (np.abs(gap) + ROUND_OFF * EPSILON * grown)), float(np.abs(row @ gap) - hidden)
 
 
 def _closed(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.ndarray]:

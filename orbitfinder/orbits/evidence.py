@@ -102,6 +102,8 @@ class Motion:
     """the field of y"""
     reach: np.ndarray | None = None
     """of a stiff first-order motion its least and largest y (2 x m), which no equal times see"""
+    ended: np.ndarray | None = None
+    """the gradients where `transitions` end; none where that is not told"""
 
     def reaching(self, path: np.ndarray) -> np.ndarray:
         """A path (k x m), as far as the motion goes."""
@@ -206,13 +208,14 @@ def canonical_motion(
         missed = nodes[-1] - start - shift(turns[chosen[: masses.size]], start.size)
         action -= float(nodes[-1, half:] @ missed[:half])
     gradients, directions, constraints = equations.frame(state, start)
+    ended = equations.frame(equations.states(nodes[-1:])[0], nodes[-1])[0]
     own, reach = turns[chosen[: equations.coordinates.size]], None
     if first_order and equations.field.stiff:
         reach = np.array([traces[0].states.min(axis=0), traces[0].states.max(axis=0)]) * units
     return Motion(
         moments, equations.states(path), path, transitions, action, equations.field(0.0, start), gradients, directions,
         masses, own, drifting(traces[0], own, units), GIVEN if first_order else HAMILTON, constraints,
-        nodes[:-1], equations.field, reach,
+        nodes[:-1], equations.field, reach, ended,
     )  # fmt: skip
 
 
@@ -322,6 +325,8 @@ class Tour:
     """times (k) and states (k x d) of the period"""
     bases: Sequence[np.ndarray] = ()
     """of what is not trivial (m x r each) where pieces begin; none where they are not known"""
+    ended: np.ndarray | None = None
+    """the gradients where the pieces end, if that is known"""
 
     def map(self) -> np.ndarray:
         """The root map without trivial multipliers (r x r)."""
@@ -356,11 +361,16 @@ class Tour:
 
     @property
     def trivial(self) -> float:
-        """How far the map is from keeping the flow and the gradients of the invariants, relative to its size."""
+        """How far the map is from keeping the flow and the gradients of the invariants, relative to its size.
+
+        The gradients where it ends are kept by any motion: of an unstable one that closes to its errors, which grow,
+        those at the start differ from them by more than the map is wrong. That it closes is seen in the flow.
+        """
         inner, gradients, directions = self.inner(), self.gradients @ self.basis, self.directions @ self.basis
+        ended = gradients if self.ended is None else self.ended @ self.basis
         lost = (
             relative(directions @ inner.T - directions, directions),
-            relative(gradients @ inner - gradients, gradients),
+            relative(ended @ inner - gradients, gradients),
         )
         return max(lost) / max(1.0, float(np.abs(inner).max()))
 
@@ -515,7 +525,8 @@ def _looped(model: Model, motion: Motion, units: np.ndarray, path: np.ndarray, p
         closing = replace(closing, distance=closes(missed, pieces, path / units, rate, more).distance)
         if closing.distance > DOUBTFUL and rate is not None:
             closing = replace(closing, distance=min(closing.distance, _symmetric(model, motion, units)))
-    return Tour(closing, pieces, kept, motion.directions / units, symplectic(model), units, basis)
+    ended = None if motion.ended is None else motion.ended * units
+    return Tour(closing, pieces, kept, motion.directions / units, symplectic(model), units, basis, ended=ended)
 
 
 def _conserved(field: VectorField, path: np.ndarray, units: np.ndarray, period: float) -> np.ndarray:

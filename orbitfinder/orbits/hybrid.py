@@ -159,10 +159,11 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     variations, action = _variations(automaton, arcs)
     pieces = in_extents(variations, units)
     rate = automaton.field(arcs[0].mode)(0.0, np.asarray(state, float)) / units
-    slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
+    slopes, ended = (invariant_gradients(model)(x).full().reshape(-1, units.size) * units for x in (state, end))
     found = closes((end - state - shift(turns, units.size)) / units, pieces, states / units, rate * period, slopes)
     directions = np.vstack([rate, generated(model, state) / units])
-    loop = Tour(found, pieces, slopes, directions, False, units, np.eye(units.size), motion=(times, states))
+    identity, motion = np.eye(units.size), (times, states)
+    loop = Tour(found, pieces, slopes, directions, False, units, identity, motion=motion, ended=ended)
     drift, balance = _energies(model, arcs)
     return HybridEvidence(
         times=times,

@@ -383,7 +383,8 @@ def gathered(model: Model, state: np.ndarray, period: float, damped: bool = Fals
     else:
         scaled = [piece * units / units[:, None] for piece in pieces]
         closure = closes(missed, scaled, states / units, rate, kept)
-    loop = Tour(closure, scaled, kept, flow, conservative, units, np.eye(2 * n))
+    ended = kept if model.forced else invariant_gradients(model)(states[-1]).full() * units
+    loop = Tour(closure, scaled, kept, flow, conservative, units, np.eye(2 * n), ended=ended)
     if not proof.rate > 0:
         floquet = analyse(loop.map(), conservative, off)
     times = np.linspace(0.0, period, len(states))

@@ -44,7 +44,7 @@ class Advance:
     """The blocks of one field, as compiled."""
 
     def __init__(self, path: Path) -> None:
-        self._advance = shared(path).advance
+        self._advance = shared(path)["advance"]
         self._advance.argtypes = [ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
         self._advance.restype = ctypes.c_ssize_t
 

@@ -8,6 +8,7 @@ Without a compiler, or for a field that is no expression of scalars, there is no
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 from collections.abc import Callable
 from functools import lru_cache
@@ -83,7 +84,7 @@ class Kernel:
         found = np.empty(states.shape)
         times, states, given = (np.ascontiguousarray(one, float) for one in (times, states, given))
         places = (one.ctypes.data for one in (times, states, given, found))
-        self._library(len(states) == 1).evaluated(len(states), len(given) == 1, *places)
+        self._library(len(states) == 1)["evaluated"](len(states), len(given) == 1, *places)
         return found
 
     def _run(
@@ -98,11 +99,11 @@ class Kernel:
         else:
             order = np.argsort(-np.diff(begins), kind="stable")  # the longest first: lanes end together
         given = (array.ctypes.data for array in (begins, order, starts, parameters))
-        march = self._library(count == 1).march
+        march = self._library(count == 1)["march"]
         if march(count, *given, ends, path, results[1].shape[1], errors[0] if errors else None):
             raise MemoryError(f"no memory for marches of {starts.shape[1]} numbers")
 
-    def _library(self, alone: bool) -> ctypes.CDLL:
+    def _library(self, alone: bool) -> dict[str, Any]:
         """That of one lane or of many; where it cannot be made the other serves."""
         alone = alone if self._only is None else self._only
         if alone not in self._libraries:
@@ -110,18 +111,20 @@ class Kernel:
             self._libraries[alone] = made or self._libraries[not alone]
         return self._libraries[alone]
 
-    def _made(self, alone: bool) -> ctypes.CDLL:
+    def _made(self, alone: bool) -> dict[str, Any]:
         return library(_of_lanes(self._code, alone), self._opened, None, LEVEL)
 
-    def _opened(self, path: Path, new: bool) -> ctypes.CDLL:
-        """A library loaded and, when new, compared with the interpreter."""
+    def _opened(self, path: Path, new: bool) -> dict[str, Any]:
+        """The functions of a library loaded and, when new, compared with the interpreter."""
         opened = shared(path)
-        opened.march.argtypes = SIGNATURE
-        if hasattr(opened, "evaluated"):  # what has no variations
-            opened.evaluated.argtypes = [ctypes.c_ssize_t, ctypes.c_int, *[ctypes.c_void_p] * 4]
-        if new and not _agrees(opened.march, self._known):
+        functions = {"march": opened["march"]}
+        functions["march"].argtypes = SIGNATURE
+        with contextlib.suppress(AttributeError):  # of what has variations
+            functions["evaluated"] = opened["evaluated"]
+            functions["evaluated"].argtypes = [ctypes.c_ssize_t, ctypes.c_int, *[ctypes.c_void_p] * 4]
+        if new and not _agrees(functions["march"], self._known):
             raise Unavailable("the compiled march disagrees with the interpreted field")
-        return opened
+        return functions
 
 
 def kernel(

@@ -25,7 +25,7 @@ class Staging:
 
     def __init__(self, path: Path, numbers: int) -> None:
         opened = shared(path)
-        self._changed, self._valued, self._numbers = opened.changed, opened.valued, numbers
+        self._changed, self._valued, self._numbers = opened["changed"], opened["valued"], numbers
         self._changed.argtypes = [ctypes.c_ssize_t, *[ctypes.c_void_p] * 8]
         self._valued.argtypes = [ctypes.c_ssize_t, *[ctypes.c_void_p] * 4]
         self._valued.restype = None
