@@ -1,8 +1,8 @@
 """Four hundred rough starts: `of.find_orbit` beside twenty lines of SciPy, from the same guesses.
 
 Twenty shipped problems that have a vector field; of each its certified orbit, from twenty starts: every component of
-the state is off by up to 3 % of its range along the orbit, the period by up to 3 %, uniformly, by `default_rng([SEED, k])`
-for the k-th problem. `find_orbit` gets the problem with that guess and default settings. SciPy gets `least_squares` on
+the state is off by up to 3 % of its range along the orbit, the period by up to 3 %, uniformly, by
+`default_rng([SEED, k])` for the k-th problem. `find_orbit` gets the problem with that guess and default settings. SciPy gets `least_squares` on
 the gap of a period and the problem's pins, by DOP853 at 1e-12 with the variational equations; it has got there where
 the rows are below 1e-9 of the ranges and the motion is no equilibrium. Each has a minute of processor time.
 
@@ -99,7 +99,7 @@ def by_hand(problem: of.Problem, orbit: of.Orbit) -> Callable[[], bool]:
             slopes.append(np.append(along * ranges / ranges.min(), 0.0)[None])
         return np.concatenate(found), np.vstack(slopes)
 
-    deadline, known = [np.inf], {}
+    deadline, known = [np.inf], dict[bytes, tuple[np.ndarray, np.ndarray]]()
     across = rates(0.0, problem.guess.state).full().ravel() / ranges**2
 
     def at(w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
