@@ -1,10 +1,11 @@
 """Four hundred rough starts: `of.find_orbit` beside twenty lines of SciPy, from the same guesses.
 
 Twenty shipped problems that have a vector field; of each its certified orbit, from twenty starts: every component of
-the state is off by up to 3 % of its range along the orbit, the period by up to 3 %, uniformly, by
-`default_rng([SEED, k])` for the k-th problem. `find_orbit` gets the problem with that guess and default settings. SciPy gets `least_squares` on
-the gap of a period and the problem's pins, by DOP853 at 1e-12 with the variational equations; it has got there where
-the rows are below 1e-9 of the ranges and the motion is no equilibrium. Each has a minute of processor time.
+the state is off by up to 3 % of its range along the orbit, the period by up to 3 %, uniformly, by `default_rng([SEED,
+k])` for the k-th problem. `find_orbit` gets the problem with that guess and default settings. SciPy gets
+`least_squares` on the gap of a period and the problem's pins, by DOP853 at 1e-12 with the variational equations; it
+has got there where the rows are below 1e-9 of the ranges and the motion is no equilibrium. Each has a minute of
+processor time.
 
     python benchmarks/rough_starts.py [NAME ...] [--starts N]   writes results/validation/rough_starts.md of all
 """
