@@ -36,7 +36,6 @@ from orbitfinder.families.start import (
     corrected,
     curve_at,
     curve_of,
-    fitted,
     reformulated,
     return_gaps,
     symmetry_of,
@@ -46,6 +45,7 @@ from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import CRITICAL, Curve, Solution, advanced, at_place, correct, plane, scaled, tangent
 from orbitfinder.loops.loop import Unknowns
+from orbitfinder.loops.mesh import fitted
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import Symmetry, called, involutions, momenta_of, named, turned
 from orbitfinder.mechanics.hybrid import repeated

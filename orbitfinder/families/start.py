@@ -14,11 +14,11 @@ from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError, Integrati
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.motion import SAMPLES, full_samples, whole_motion
 from orbitfinder.families.point import FamilySettings, parameter_value
-from orbitfinder.integrate.march import divided, rounded, uniform
+from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import QUANTITIES, Pin, clock, conserved, followed, measured, pinned, quantities
 from orbitfinder.loops.continued import Curve, Solution, begun, correct, kernel, make_curve, tangent
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
-from orbitfinder.loops.mesh import carried, remeshed, settled
+from orbitfinder.loops.mesh import carried, fitted, settled
 from orbitfinder.loops.problem import Guess, Problem, at_forcing_period, clocked
 from orbitfinder.loops.scales import Scales
 from orbitfinder.loops.symmetry import (
@@ -405,22 +405,6 @@ def corrected(
     solution, place = settled(curve, solution, whole), solution.place
     curve, whole = begun(curve, solution, carried(curve, place, whole, solution.place))
     return Start(curve, solution, solution.place.head_of(whole))
-
-
-def fitted(curve: Curve, place: Unknowns) -> Unknowns:
-    """A motion's unknowns on a mesh that fits it; a large system's first one is made finer where numbers overflow."""
-    mesh, tries = place.mesh, (1, 4, 16) if curve.equations.march.wide else (1,)
-    for times in tries:
-        place = place.on(divided(mesh, times))
-        try:
-            for _ in range(2):
-                path = curve.equations.varied(place, states=True)
-                place = remeshed(curve, Solution(place, path, np.zeros((0, 0)), 0.0))
-            break
-        except UNSOLVED:
-            if times == tries[-1]:
-                raise
-    return place
 
 
 def symmetry_of(curve: Curve, solution: Solution) -> str:

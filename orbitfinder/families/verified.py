@@ -45,7 +45,7 @@ from orbitfinder.families.saddles import (
     told_apart,
 )
 from orbitfinder.families.stability import spectrum
-from orbitfinder.families.start import by_series, curve_in, fitted
+from orbitfinder.families.start import by_series, curve_in
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.field import vector_field
 from orbitfinder.integrate.march import uniform
@@ -63,6 +63,7 @@ from orbitfinder.loops.continued import (
     scaled,
     tangent,
 )
+from orbitfinder.loops.mesh import fitted
 from orbitfinder.loops.symmetry import named as symmetry_named
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.kind import with_parameters

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.march import Gridded
+from orbitfinder.errors import UNSOLVED, ConvergenceError, IntegrationError
+from orbitfinder.integrate.dop853 import EVALUATIONS_PER_STEP, ReferenceSettings, Trace, integrate_in
+from orbitfinder.integrate.march import Gridded, March, Marches, divided
 from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plane
 from orbitfinder.loops.loop import Unknowns
 
 STEP_ERROR = 5e-13
 """Estimated relative error of a Runge-Kutta step on a fresh mesh; the true one is hundreds of times smaller."""
+
+UNEVEN = 1e-4
+"""Estimated error of an equal step, relative to the motion, beyond which equal steps lose it: 2e-8 at most of motions
+that some hundred follow, 2e-3 and more past close encounters and along bursts"""
+
+ROUNDS = 8
+"""Meshes at most until no segment of a motion with close encounters lets errors grow by more than `steepest`"""
 
 
 @dataclass(frozen=True)
@@ -138,22 +147,75 @@ def _asked(curve: Curve, solution: Solution, fewest: int, arcs: int) -> tuple[np
     """The density (arcs x M) of a fresh mesh, and the segments of each arc, `fewest` at least."""
     density = np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15).reshape(arcs, -1)
     density = np.array([_spread(part) for part in density])
-    growth = np.log(np.maximum(_growths(curve, solution), 1.5)).reshape(arcs, -1).sum(axis=1).max()
+    growths = _growths(curve, solution)
+    parts = np.log(np.maximum(growths, 1.5)).reshape(arcs, -1) / np.log(MESH.growth)
+    count = int(np.clip(np.ceil(parts.sum(axis=1).max()), fewest, MESH.most_segments))
+    if growths.max() > MESH.steepest:  # segments are where errors grow, with their steps
+        each = density.shape[1] // parts.shape[1]
+        share = np.repeat(parts, each, axis=1) * (density.sum(axis=1, keepdims=True) / (count * each))
+        density = np.maximum(density, share)
     if not density.sum() < MESH.most_steps:
         raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
-    return density, int(np.clip(np.ceil(growth / np.log(MESH.growth)), fewest, MESH.most_segments))
+    return density, count
+
+
+def fitted(curve: Curve, place: Unknowns) -> Unknowns:
+    """A motion's unknowns on a mesh that fits it; a large system's first one is made finer where numbers overflow, and
+    where equal steps lose the motion those that DOP853 takes come first."""
+    p, first = curve.equations, place
+    tries = [1, 4, 16] if p.march.wide else [1] if p.links or p.gridded else [1, 0]
+    for times in tries:
+        try:
+            place = first.on(divided(first.mesh, times)) if times else stepped(p.march, first, curve.units)
+            for k in range(ROUNDS):
+                solution = Solution(place, p.varied(place, states=True), np.zeros((0, 0)), 0.0)
+                if times and not tries[-1] and _errors(curve, solution).max() > UNEVEN:
+                    raise ConvergenceError("equal steps lose the motion")
+                if k > 1 and (tries[-1] or _growths(curve, solution).max() < MESH.steepest):
+                    break
+                place = remeshed(curve, solution)
+            break
+        except UNSOLVED:
+            if times == tries[-1]:
+                raise
+    return place
+
+
+def stepped(march: March | Marches, place: Unknowns, units: np.ndarray) -> Unknowns:
+    """The unknowns on a mesh of the steps that DOP853 takes from each node in `units` (d), as many in each segment."""
+    pieces = []
+    finest = STEP_ERROR / MESH.coarse
+    settings = ReferenceSettings(finest, finest, 4 * EVALUATIONS_PER_STEP * MESH.most_steps)
+
+    def rates(t: float, y: np.ndarray) -> np.ndarray:
+        return np.asarray(march.rates(y[None], place.tail, np.array([t]))[0])
+
+    for node, span in zip(place.nodes, pairwise(place.edges * place.period), strict=True):
+        traces: list[Trace] = []
+        integrate_in(units, rates, node, np.linspace(*span, 3), settings, traces=traces)
+        pieces.append(traces[0].moments / place.period)
+    each = _rounded(max(piece.size - 1 for piece in pieces))
+    shares = np.linspace(0.0, 1.0, each + 1)[:-1]
+    inside = [np.interp(shares, np.linspace(0.0, 1.0, piece.size), piece) for piece in pieces]
+    return place.on(np.append(np.concatenate(inside), place.mesh[-1]))
 
 
 def between(curve: Curve, solution: Solution, moments: np.ndarray) -> np.ndarray:
     """States (k x d) at moments (k, in periods), exactly where they fix the phase."""
-    place, states, march = solution.place, solution.march.states, curve.equations.march
+    place, march = solution.place, curve.equations.march
     if isinstance(march, Gridded):
         return march.sampled(place.nodes, place.mesh, place.tail, moments)
-    if curve.equations.model.forced:
-        slopes = march.rates(states, place.tail, place.mesh * place.period) * place.period
-        return np.asarray(CubicHermiteSpline(place.mesh, states, slopes)(moments))
-    before = np.searchsorted(place.mesh, moments, side="right") - 1
-    return march.ends(states[before], np.append(0.0, np.cumsum(moments - place.mesh[before])), place.tail)
+    return sampled(march, place, solution.march.states, moments)
+
+
+def sampled(march: March | Marches, w: Unknowns, states: np.ndarray, moments: np.ndarray) -> np.ndarray:
+    """States (k x d) at moments (k, in periods) of a motion whose `states` at the mesh of w are known: a step on from
+    the one before, forced ones by Hermite's cubics."""
+    if march.forced:
+        slopes = march.rates(states, w.tail, w.mesh * w.period) * w.period
+        return np.asarray(CubicHermiteSpline(w.mesh, states, slopes)(moments))
+    before = np.searchsorted(w.mesh, moments, side="right") - 1
+    return march.ends(states[before], np.append(0.0, np.cumsum(moments - w.mesh[before])), w.tail)
 
 
 def _remeshed_arcs(curve: Curve, solution: Solution) -> Unknowns:

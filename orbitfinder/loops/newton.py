@@ -14,7 +14,7 @@ from orbitfinder.integrate.march import Varied, divided
 from orbitfinder.loops.condensed import eliminated
 from orbitfinder.loops.loop import Loop, Unknowns, beyond
 from orbitfinder.loops.scales import Measures
-from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, full
+from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, full, largest, natural
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ class NewtonSettings(Settings):
 class Refined(Shown):
     """A refined orbit: state (2n), period (s), nodes (N x 2n), unfolding, freed parameters, turns (n), residual.
 
-    `residual` is the largest row of the shooting equations by a march of `steps` Runge-Kutta steps per segment;
-    `marches` and `jacobians` are what it took.
+    `residual` is the largest row of the shooting equations by a march of `steps` Runge-Kutta steps per segment, on the
+    `mesh` where they are not equal; `marches` and `jacobians` are what it took.
     """
 
     __repr__ = brief("state", "period")
@@ -67,6 +67,7 @@ class Refined(Shown):
     steps: int
     marches: int
     jacobians: int
+    mesh: np.ndarray | None = None
 
 
 class Newton:
@@ -88,6 +89,30 @@ class Newton:
         self._lost = self.loop.lost(w)
         w, solver = self._approach(w, path)
         return self._finish(w, solver)
+
+    def near(self, w: Unknowns) -> tuple[Unknowns, float]:
+        """w after damped steps that are judged by their corrections, and its largest row. Raises `ConvergenceError`
+        where that leads nowhere, `IntegrationError`."""
+        self._lost = self.loop.lost(w)
+
+        def linearised(w: Unknowns) -> tuple[np.ndarray, Solver]:
+            self.jacobians += 1
+            path = self.loop.equations.varied(w)
+            return self._measured(w, path.ends), self._solver(w, path)
+
+        def rows_of(w: Unknowns) -> np.ndarray:
+            try:
+                return self._rows(w)
+            except IntegrationError:
+                return np.full(self.measures.rows.size, np.inf)
+
+        solved = natural(w, linearised, rows_of, self.settings, Unknowns.moved, self.measures.columns)
+        if not solved.size <= self.settings.round_off:
+            raise ConvergenceError(
+                f"damped Newton steps lead nowhere from this guess (a correction of {solved.size:.2g} of the motion is "
+                "left); start nearer"
+            )
+        return solved.w, largest(solved.rows)
 
     def _approach(self, w: Unknowns, path: Varied | None) -> tuple[Unknowns, Solver]:
         """Halved steps on the coarse march until the residual is small."""

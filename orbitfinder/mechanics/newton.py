@@ -44,6 +44,8 @@ class Settings:
     patience: int = 1000
     """evaluations one after another that leave more than the share `progress` of the least so far"""
     progress: float = 0.5
+    shortest: float = 1e-5
+    """share of a damped step; one that wants less leads nowhere"""
     halving: bool = False
     """a step that leaves as much or more, or no numbers, is taken back and halved"""
     cutoff: float = 1e-12
@@ -203,6 +205,43 @@ def chording(
         if slow:
             solver, fresh = (yield True, w), True
     return Solved(w, settings, rows, size, solver, count)
+
+
+def natural(
+    w: W,
+    linearised: Callable[[W], tuple[np.ndarray, Solver]],
+    rows_of: Callable[[W], np.ndarray],
+    settings: Settings,
+    moved: Callable[[Any, np.ndarray], Any],
+    units: np.ndarray,
+) -> Solved[W]:
+    """Damped steps that are judged by what they leave to correct, in `units`, by the Jacobian where they began.
+
+    That sees how far a solution is, where rows are large a short way from it and small along valleys.
+
+    Source: P. Deuflhard, Newton Methods for Nonlinear Problems (2004), section 3.3 (NLEQ-ERR).
+    """
+    share, count = 1.0, 0
+    while True:
+        rows, solver = linearised(w)
+        step = solver(rows)
+        length = float(np.linalg.norm(step / units))
+        found = Solved(w, settings, rows, length, solver, count)
+        if not isfinite(length) or length <= settings.converged:
+            return found
+        while True:
+            limit.check()
+            count, trial = count + 1, moved(w, share * step)
+            after = solver(rows_of(trial))
+            left = float(np.linalg.norm(after / units))
+            bent = float(np.linalg.norm((after - (1 - share) * step) / units))
+            best = 0.5 * share**2 * length / bent if bent else 1.0
+            if left <= (1 - share / 4) * length:
+                break
+            share = min(best, share / 2) if isfinite(best) else share / 2
+            if share < settings.shortest or count > settings.most_evaluations:
+                return found
+        w, share = trial, min(1.0, best)
 
 
 CLOSING = Settings(floor=0.0, round_off=1e-13, converged=1e-11, most_evaluations=80, longest=0.4)

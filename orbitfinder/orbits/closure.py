@@ -100,7 +100,7 @@ def _late(
     what round-off of the state hides; `rows` (k x m) are f T and the gradients of what is kept."""
     later = list(accumulate(reversed(transitions), np.matmul, initial=np.eye(sizes.size)))
     rate, rows = basis.T @ rows[0], rows @ basis
-    rows = rows / nonzero(np.linalg.norm(rows, axis=1, keepdims=True)) * grown  # the least row: their shares cost little
+    rows = grown * rows / nonzero(np.linalg.norm(rows, axis=1, keepdims=True))  # so that their shares cost little
     bordered = np.vstack([
         np.column_stack([basis.T @ later[-1] @ basis - np.eye(rate.size), rate]),
         np.column_stack([rows, np.zeros(len(rows))]),

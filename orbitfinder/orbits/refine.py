@@ -16,17 +16,24 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.notebook import Shown, brief
+from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import UNSOLVED, ConvergenceError, CountError, InputError, IntegrationError, plural
-from orbitfinder.integrate.march import uniform
+from orbitfinder.integrate.cvodes import Flow
+from orbitfinder.integrate.march import Varied, divided, rounded, uniform
+from orbitfinder.integrate.rk8 import march, step_of
 from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.continued import make_curve
 from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.mesh import UNEVEN, fitted, sampled, stepped
 from orbitfinder.loops.newton import Newton, NewtonSettings, Refined
+from orbitfinder.loops.polish import STEPS_PER_PERIOD, tail_of
 from orbitfinder.loops.problem import (
     Guess,
     Problem,
     at_forcing_period,
     check_guessed,
     clocked,
+    displacement,
     guessed_nodes,
     loop_of,
     segments_for,
@@ -37,10 +44,19 @@ from orbitfinder.loops.shooting import flow_of
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import lengths
 from orbitfinder.mechanics.scales import units_of as measured_in
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.hybrid import carried, first_unknowns, hybrid_orbit
-from orbitfinder.orbits.measure import RESOLVED, SAMPLES, action, marched, whole_period
+from orbitfinder.orbits.measure import (
+    RESOLVED,
+    SAMPLES,
+    action,
+    composed,
+    marched,
+    sampled_period,
+    whole_period,
+)
 from orbitfinder.records.orbit import Orbit
 
 PART = 0.5
@@ -50,6 +66,14 @@ STANDSTILL = 1e-6
 
 TOGETHER = 8
 """Segments come in multiples of this where so many are marched side by side"""
+
+NEAR = 1e-8
+"""Share of the motion by which it may miss its end where it is integrated over the period in one go"""
+ROUGH = NewtonSettings(converged=1e-7, round_off=1e-4)
+FINE = NewtonSettings(converged=1e-13, round_off=1e-7)
+"""How a single segment is closed on the first mesh, and on one of twice as many steps"""
+NODES = 8
+"""Nodes of a period in the record of an orbit on a mesh of its own"""
 
 MOST_SAMPLES = 6
 """Times that the samples of a period are doubled, at most, for the action"""
@@ -96,6 +120,7 @@ class Refiner(Shown):
         self._fewest = self.segments = problem.segments or (1 if hybrid else self._segments(whole))
         if not (problem.segments or hybrid) and self.equations.march.arcs[0].together:
             self.segments = -(-self._fewest // TOGETHER) * TOGETHER
+        self._uneven = self.flow is not None and uneven(problem, self.flow)
         self._first = self._begun(problem.guess) if hybrid else None
 
     def refine(self, guess: Guess | None = None, pin: Sequence[Pin] | None = None, simulated: bool = False) -> Refined:
@@ -112,6 +137,8 @@ class Refiner(Shown):
     def _refined(self, guess: Guess | None, pin: Sequence[Pin] | None, simulated: bool) -> Refined:
         pins, given = _pins(self.problem, pin), _checked(guess or self.problem.guess, self.problem, self.equations.free)
         if self._first is None:
+            if self._uneven:
+                return self._closed(given, pins)
             if self._fewest < self.segments:  # more may lead astray
                 with suppress(*UNSOLVED):
                     return self._solved(self._start(given, pins, self.segments), pins)
@@ -132,27 +159,28 @@ class Refiner(Shown):
         return max(4, -(-self._whole_steps // (self.equations.links.count * segments)))
 
     def _solved(self, w: Unknowns, pins: Sequence[Pin]) -> Refined:
-        path = self.equations.varied(w)
-        loop = loop_of(self.problem, self.equations, w, self.equations.links.passed(w, path.ends)[0][-1], pins)
-        scales = measured_in(self.problem.model, w.nodes, w.period)
-        newton = Newton(loop, self.settings, Measures.rounded(loop, w, scales))
+        newton = self._newton(w, path := self.equations.varied(w), pins, self.settings)
         w, residual = newton.solve(w, path)
         if not residual < self.settings.converged:
             raise ConvergenceError(
                 f"warm refinement stalled at a residual of {residual:.2g}; the orbit is too unstable for "
                 f"{plural(len(w.nodes), 'segment')}, give the problem more"
             )
-        units = np.asarray(scales or 1.0)
+        return self._checked(w, residual, newton, pins)
+
+    def _checked(self, w: Unknowns, residual: float, newton: Newton, pins: Sequence[Pin]) -> Refined:
+        """What has been found, unless it is an equilibrium."""
+        units = np.asarray(measured_in(self.problem.model, w.nodes, w.period) or 1.0)
         moved = float((np.abs(w.nodes[0] - w.nodes[-1]) / units).max())
         rates = self.equations.march.rates(w.nodes, w.tail, w.period * w.edges[:-1]) / units
         if moved < STANDSTILL and np.abs(rates).max() * w.period < STANDSTILL:
             raise ConvergenceError("warm refinement ended at an equilibrium; start farther from it, or pin the energy")
         told = {one.name: one.value for one in pins}  # a pinned parameter is that, not one to round-off
         known = [told.get(name, one) for name, one in zip(self.equations.free, w.free, strict=True)]
-        turns = self.equations.symmetry.turns(loop.constant)
+        turns = self.equations.symmetry.turns(newton.loop.constant)
         return Refined(
             w.nodes[0], w.period, w.nodes, w.unfolding, np.array(known, float), turns, residual, w.steps,
-            newton.marches, newton.jacobians + 1,
+            newton.marches, newton.jacobians + 1, w.mesh if self._uneven else None,
         )  # fmt: skip
 
     def orbit(self, refined: Refined, with_certificate: bool = True) -> Orbit:
@@ -173,6 +201,8 @@ class Refiner(Shown):
             return hybrid_orbit(replace(without_choice(self.problem), model=model), refined), model
         guess = Guess(refined.state, refined.period)
         problem = replace(without_choice(self.problem), model=model, guess=guess, winding=turns)
+        if refined.mesh is not None:
+            return self._measured_unevenly(problem, refined, refined.mesh), model
         mesh = uniform(problem.boundary.fraction, len(refined.nodes), refined.steps)
         w = Unknowns(refined.nodes, refined.period, refined.unfolding, refined.free, mesh)
         flow, march = replace(self.flow, model=model), self._whole.march
@@ -183,6 +213,29 @@ class Refiner(Shown):
             if abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
                 break
         return marched(problem, march, w, whole, found, flow.units), model
+
+    def _measured_unevenly(self, problem: Problem, refined: Refined, mesh: np.ndarray) -> Orbit:
+        """The Orbit on the mesh that fits it."""
+        part, equations = self.equations, Equations(self.problem.model, NONE, self.problem.free, action=True)
+        w = Unknowns(refined.nodes, refined.period, refined.unfolding, refined.free, mesh)
+        w = w.on(divided(mesh, 2))  # errors of Phi grow and shrink again by more than those of the state
+        states = part.march.states(w.nodes, w.mesh, w.tail)
+        mesh, states = part.symmetry.whole(w.mesh, states, displacement(problem, w, states[-1]))
+        unfolding = np.zeros(equations.march.unfolding)
+        w = Unknowns(states[: -1 : w.steps], w.period, unfolding, w.free, mesh)
+        path = alone = equations.varied(replace(w, nodes=w.nodes[:1]), states=True)
+        end = alone.ends[0]
+        if (np.abs(end - states[-1]) / nonzero(np.ptp(states, axis=0))).max() > NEAR:
+            path = equations.varied(w)
+        else:
+            states = alone.states
+        moments = uniform(1.0, NODES, rounded(SAMPLES / NODES))
+        samples = sampled(equations.march, w, states, moments)
+        equal = Unknowns(samples[: -1 : (moments.size - 1) // NODES], w.period, unfolding, w.free, moments)
+        whole = sampled_period(problem, equal, samples)
+        units = self.flow.units if self.flow else ()
+        place = replace(w, unfolding=refined.unfolding)
+        return composed(problem, place, whole, path.integral, path.transitions, end, units)
 
     @cached_property
     def _mesh(self) -> Callable[[int, int], np.ndarray]:
@@ -207,6 +260,30 @@ class Refiner(Shown):
         except IntegrationError:
             return most
 
+    def _closed(self, guess: Guess, pins: Sequence[Pin]) -> Refined:
+        """The orbit near a motion with close encounters, on a mesh that fits it: in a single segment, since between
+        encounters errors grow and shrink again and nodes there make equations less linear; in several where errors do
+        not shrink."""
+        p, model = self.equations, self.problem.model
+        w = self._start(guess, pins, 1 if guess.states is None else len(guess.states) - 1)
+        w = stepped(p.march, w, np.asarray(measured_in(model, w.nodes, w.period) or np.ones(p.size)))
+        if len(w.nodes) == 1:
+            for settings, mesh in ((ROUGH, w.mesh), (FINE, divided(w.mesh, 2))):
+                w = w.on(mesh)
+                newton = self._newton(w, p.varied(w), pins, settings)
+                w, residual = newton.near(w)
+            if residual < self.settings.converged:
+                return self._checked(w, residual, newton, pins)
+        path = p.varied(w, states=True)
+        constant = displacement(self.problem, w, path.ends[-1])
+        whole = p.symmetry.whole(w.mesh, path.states, constant)[1]
+        return self._solved(fitted(make_curve(p, constant, w, (), lengths(model, whole), whole), w), pins)
+
+    def _newton(self, w: Unknowns, path: Varied, pins: Sequence[Pin], settings: NewtonSettings) -> Newton:
+        loop = loop_of(self.problem, self.equations, w, self.equations.links.passed(w, path.ends)[0][-1], pins)
+        scales = measured_in(self.problem.model, w.nodes, w.period)
+        return Newton(loop, settings, Measures.rounded(loop, w, scales))
+
     def _start(self, guess: Guess, pins: Sequence[Pin], segments: int) -> Unknowns:
         """The unknowns of a guess: sampled from its trajectory, else simulated from its state.
 
@@ -226,6 +303,21 @@ class Refiner(Shown):
         each = steps if segments == self._fewest else -(-steps // 2)  # the guess is off by more than longer steps are
         nodes = self.equations.march.states(w.nodes, self._mesh(segments, each), w.tail)[:-1:each]
         return Unknowns(nodes, w.period, w.unfolding, free, mesh)
+
+
+def uneven(problem: Problem, flow: Flow) -> bool:
+    """Whether equal steps, some hundred, lose the motion of a guess: past close encounters, along bursts."""
+    horizon, tail = problem.boundary.fraction * problem.guess.period, tail_of(flow)
+    steps = max(4, int(np.ceil(STEPS_PER_PERIOD * problem.boundary.fraction)))
+    try:
+        states = march(flow.field, problem.guess.start, horizon, steps, tail)
+    except IntegrationError:
+        return True
+    clock = np.linspace(0.0, horizon, steps + 1)[:-1]
+    given = np.tile(np.concatenate([[horizon / steps], tail])[:, None], (1, steps))
+    errors = np.abs(step_of(flow.field, True).map(steps)(np.vstack([clock, states[:-1].T]), given).full()).max(axis=1)
+    moved = np.ptp(states, axis=0)
+    return not np.all(errors <= UNEVEN * nonzero(np.maximum(moved, 1e-2 * moved.max())))
 
 
 def _pins(problem: Problem, pin: Sequence[Pin] | None) -> tuple[Pin, ...]:

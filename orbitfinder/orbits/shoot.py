@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import interrupt
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
+from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError, IntegrationError, OrbitfinderError
 from orbitfinder.integrate.cvodes import Flow, end_state, transition
 from orbitfinder.integrate.dop853 import SECOND, integrate_in
 from orbitfinder.integrate.equations import accelerations, invariant_gradients
@@ -44,7 +44,7 @@ from orbitfinder.orbits.hybrid import STEPS, first_unknowns
 from orbitfinder.orbits.measure import dense, measure, provenance, shift_of
 from orbitfinder.orbits.objectives import chosen
 from orbitfinder.orbits.reduction import steady
-from orbitfinder.orbits.refine import Refiner
+from orbitfinder.orbits.refine import Refiner, uneven
 from orbitfinder.records.orbit import Orbit
 
 DRIFT = 1e-7
@@ -152,6 +152,8 @@ def found(problem: Problem, settings: SolveSettings, report: Callback | None, be
         unfolded = problem.boundary.unfolded(problem.model)
         flow = build_dae_flow(problem.model, problem.free, unfolded, settings.integrator)
     problem = at_section(problem, flow)
+    if _square(problem) and uneven(problem, flow):
+        return _unevenly(problem, flow, settings, report, began)
     said: dict[str, Any] = {}
     try:
         refined, w = _shot(problem, flow, settings, report)
@@ -168,6 +170,44 @@ def found(problem: Problem, settings: SolveSettings, report: Callback | None, be
     if flow.units:
         said["scales"] = dict(zip(problem.model.state_names, flow.units, strict=True))
     return replace(orbit, provenance=said), refined.problem.model
+
+
+def _square(problem: Problem) -> bool:
+    """Whether Newton's method may take a problem, once it has its place in the family."""
+    chosen = problem.constraints or problem.phase_condition or problem.bounds or problem.objective != "nearest"
+    plain = problem.model.constraint is None and not (chosen or problem.guess.free)
+    return plain and not (problem.free and problem.count().freedom)
+
+
+def _unevenly(
+    problem: Problem, flow: Flow, settings: SolveSettings, report: Callback | None, began: float
+) -> tuple[Orbit, Model]:
+    """An orbit past close encounters or along bursts, on a mesh that fits its motion: by Newton's method at the guess's
+    own energy, or else from where IPOPT ends."""
+    state = problem.guess.start
+    pins = problem.pin if not problem.count().freedom else natural_pin(problem, state)
+    said = "Newton's method on a mesh that fits the guess's motion"
+    try:
+        orbit, model = _refined(replace(problem, pin=pins))
+    except UNSOLVED as first:
+        said = f"IPOPT, and Newton's method from there on a mesh that fits its motion ({said}: {first})"
+        nodes = initial_nodes(problem, flow, settings)
+        if problem.winding is None:
+            problem = replace(problem, winding=winding_of(problem, flow, nodes))
+        shooting, w = chosen(problem, nodes, flow, settings, report)
+        near = shooting.at(w)
+        times = near.period * near.edges
+        along = Guess(near.nodes[0], near.period, times, np.vstack([near.nodes, near.nodes[:1]]))
+        orbit, model = _refined(replace(_settled(shooting.problem, near), guess=along, segments=None))
+    _within(problem, orbit)
+    _periodic(problem, orbit)
+    told = provenance(problem, settings, began) | _choice(problem, model) | {"start": said}
+    return replace(orbit, provenance=told), model
+
+
+def _refined(problem: Problem) -> tuple[Orbit, Model]:
+    refiner = Refiner(problem)
+    return refiner.measured(refiner.refine())
 
 
 def found_hybrid(
