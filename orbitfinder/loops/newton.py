@@ -14,7 +14,7 @@ from orbitfinder.integrate.march import Varied, divided
 from orbitfinder.loops.condensed import eliminated
 from orbitfinder.loops.loop import Loop, Unknowns, beyond
 from orbitfinder.loops.scales import Measures
-from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, full, largest, natural
+from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, full, natural
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,8 @@ class Newton:
         w, solver = self._approach(w, path)
         return self._finish(w, solver)
 
-    def near(self, w: Unknowns) -> tuple[Unknowns, float]:
-        """w after damped steps that are judged by their corrections, and its largest row. Raises `ConvergenceError`
-        where that leads nowhere, `IntegrationError`."""
+    def near(self, w: Unknowns) -> Solved[Unknowns]:
+        """Where damped steps lead that are judged by their corrections. Raises `IntegrationError`."""
         self._lost = self.loop.lost(w)
 
         def linearised(w: Unknowns) -> tuple[np.ndarray, Solver]:
@@ -106,13 +105,7 @@ class Newton:
             except IntegrationError:
                 return np.full(self.measures.rows.size, np.inf)
 
-        solved = natural(w, linearised, rows_of, self.settings, Unknowns.moved, self.measures.columns)
-        if not solved.size <= self.settings.round_off:
-            raise ConvergenceError(
-                f"damped Newton steps lead nowhere from this guess (a correction of {solved.size:.2g} of the motion is "
-                "left); start nearer"
-            )
-        return solved.w, largest(solved.rows)
+        return natural(w, linearised, rows_of, self.settings, Unknowns.moved, self.measures.columns)
 
     def _approach(self, w: Unknowns, path: Varied | None) -> tuple[Unknowns, Solver]:
         """Halved steps on the coarse march until the residual is small."""

@@ -238,7 +238,7 @@ def natural(
             best = 0.5 * share**2 * length / bent if bent else 1.0
             if left <= (1 - share / 4) * length:
                 break
-            share = min(best, share / 2) if isfinite(best) else share / 2
+            share = min(max(best, share / 10), share / 2) if isfinite(best) else share / 10
             if share < settings.shortest or count > settings.most_evaluations:
                 return found
         w, share = trial, min(1.0, best)

@@ -44,6 +44,7 @@ from orbitfinder.loops.shooting import flow_of
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.newton import largest
 from orbitfinder.mechanics.scales import lengths
 from orbitfinder.mechanics.scales import units_of as measured_in
 from orbitfinder.orbits.certify import certified
@@ -69,9 +70,8 @@ TOGETHER = 8
 
 NEAR = 1e-8
 """Share of the motion by which it may miss its end where it is integrated over the period in one go"""
-ROUGH = NewtonSettings(converged=1e-7, round_off=1e-4)
-FINE = NewtonSettings(converged=1e-13, round_off=1e-7)
-"""How a single segment is closed on the first mesh, and on one of twice as many steps"""
+ROUGH, FINE, ROUNDS = NewtonSettings(converged=1e-7), NewtonSettings(converged=1e-13), 8
+"""How a single segment is closed, on so many meshes at most, and on the last of twice as many steps"""
 NODES = 8
 """Nodes of a period in the record of an orbit on a mesh of its own"""
 
@@ -266,12 +266,23 @@ class Refiner(Shown):
         not shrink."""
         p, model = self.equations, self.problem.model
         w = self._start(guess, pins, 1 if guess.states is None else len(guess.states) - 1)
-        w = stepped(p.march, w, np.asarray(measured_in(model, w.nodes, w.period) or np.ones(p.size)))
+        units = np.asarray(measured_in(model, w.nodes, w.period) or np.ones(p.size))
+        w = stepped(p.march, w, units)
         if len(w.nodes) == 1:
-            for settings, mesh in ((ROUGH, w.mesh), (FINE, divided(w.mesh, 2))):
-                w = w.on(mesh)
-                newton = self._newton(w, p.varied(w), pins, settings)
-                w, residual = newton.near(w)
+            for _ in range(ROUNDS):  # passages move, and with them where steps are short
+                solved = self._newton(w, p.varied(w), pins, ROUGH).near(w)
+                w = stepped(p.march, solved.w, units)
+                if solved.converged:
+                    break
+            else:
+                raise ConvergenceError(
+                    "damped Newton steps lead nowhere from this guess (a correction of "
+                    f"{solved.size:.2g} of the motion is left); start nearer"
+                )
+            w = w.on(divided(w.mesh, 2))
+            newton = self._newton(w, p.varied(w), pins, FINE)
+            solved = newton.near(w)
+            w, residual = solved.w, largest(solved.rows)
             if residual < self.settings.converged:
                 return self._checked(w, residual, newton, pins)
         path = p.varied(w, states=True)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import interrupt
+from orbitfinder._runtime.sizes import EPSILON
 from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError, IntegrationError, OrbitfinderError
 from orbitfinder.integrate.cvodes import Flow, end_state, transition
 from orbitfinder.integrate.dop853 import SECOND, integrate_in
@@ -33,7 +34,7 @@ from orbitfinder.loops.problem import (
     without_choice,
 )
 from orbitfinder.loops.shooting import Shooting, far_end, flow_of, transcribe, units_of
-from orbitfinder.loops.symmetry import off_centre
+from orbitfinder.loops.symmetry import NONE, off_centre, symmetries_of, with_mirrors
 from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, between
 from orbitfinder.mechanics.scales import extents_of
@@ -183,26 +184,42 @@ def _unevenly(
     problem: Problem, flow: Flow, settings: SolveSettings, report: Callback | None, began: float
 ) -> tuple[Orbit, Model]:
     """An orbit past close encounters or along bursts, on a mesh that fits its motion: by Newton's method at the guess's
-    own energy, or else from where IPOPT ends."""
-    state = problem.guess.start
-    pins = problem.pin if not problem.count().freedom else natural_pin(problem, state)
-    said = "Newton's method on a mesh that fits the guess's motion"
-    try:
-        orbit, model = _refined(replace(problem, pin=pins))
-    except UNSOLVED as first:
-        said = f"IPOPT, and Newton's method from there on a mesh that fits its motion ({said}: {first})"
+    own energy, over half a period first where the guess is one that a mirror leaves as it is; or else from where IPOPT
+    ends."""
+    pins = problem.pin if not problem.count().freedom else natural_pin(problem, problem.guess.start)
+    square, tried = replace(problem, pin=pins), list[str]()
+    for name in [*_mirrors(problem), problem.symmetry]:
+        said = f"Newton's method on a mesh that fits the guess's motion, symmetry {name}"
+        try:
+            orbit, model = _refined(replace(square, symmetry=name))
+            break
+        except UNSOLVED as error:
+            tried.append(f"{said}: {error}")
+    else:
+        said = "; ".join(["IPOPT, and Newton's method from there", *tried])
         nodes = initial_nodes(problem, flow, settings)
         if problem.winding is None:
             problem = replace(problem, winding=winding_of(problem, flow, nodes))
         shooting, w = chosen(problem, nodes, flow, settings, report)
         near = shooting.at(w)
-        times = near.period * near.edges
-        along = Guess(near.nodes[0], near.period, times, np.vstack([near.nodes, near.nodes[:1]]))
+        along = Guess(near.nodes[0], near.period, near.period * near.edges, np.vstack([near.nodes, near.nodes[:1]]))
         orbit, model = _refined(replace(_settled(shooting.problem, near), guess=along, segments=None))
     _within(problem, orbit)
     _periodic(problem, orbit)
     told = provenance(problem, settings, began) | _choice(problem, model) | {"start": said}
     return replace(orbit, provenance=told), model
+
+
+def _mirrors(problem: Problem) -> list[str]:
+    """Names of the symmetries that run time backwards and leave the guess's state as it is, where none is asked for."""
+    model, state = problem.model, problem.guess.start
+    if problem.symmetry != NONE.name or model.forced or problem.relative:
+        return []
+    n, known = model.degrees_of_freedom, symmetries_of(with_mirrors(model))
+    kept = {
+        name: one.maps[0].matrix(n) @ state - state for name, one in known.items() if one.reverses and not one.maps[1:]
+    }
+    return [name for name, off in kept.items() if np.abs(off).max() <= EPSILON * np.abs(state).max()]
 
 
 def _refined(problem: Problem) -> tuple[Orbit, Model]:
