@@ -22,9 +22,6 @@ UNEVEN = 1e-4
 """Estimated error of an equal step, relative to the motion, beyond which equal steps lose it: 2e-8 at most of motions
 that some hundred follow, 2e-3 and more past close encounters and along bursts"""
 
-ROUNDS = 8
-"""Meshes at most until no segment of a motion with close encounters lets errors grow by more than `steepest`"""
-
 
 @dataclass(frozen=True)
 class MeshSettings:
@@ -147,32 +144,24 @@ def _asked(curve: Curve, solution: Solution, fewest: int, arcs: int) -> tuple[np
     """The density (arcs x M) of a fresh mesh, and the segments of each arc, `fewest` at least."""
     density = np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15).reshape(arcs, -1)
     density = np.array([_spread(part) for part in density])
-    growths = _growths(curve, solution)
-    parts = np.log(np.maximum(growths, 1.5)).reshape(arcs, -1) / np.log(MESH.growth)
-    count = int(np.clip(np.ceil(parts.sum(axis=1).max()), fewest, MESH.most_segments))
-    if growths.max() > MESH.steepest:  # segments are where errors grow, with their steps
-        each = density.shape[1] // parts.shape[1]
-        share = np.repeat(parts, each, axis=1) * (density.sum(axis=1, keepdims=True) / (count * each))
-        density = np.maximum(density, share)
+    growth = np.log(np.maximum(_growths(curve, solution), 1.5)).reshape(arcs, -1).sum(axis=1).max()
     if not density.sum() < MESH.most_steps:
         raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
-    return density, count
+    return density, int(np.clip(np.ceil(growth / np.log(MESH.growth)), fewest, MESH.most_segments))
 
 
 def fitted(curve: Curve, place: Unknowns) -> Unknowns:
-    """A motion's unknowns on a mesh that fits it; a large system's first one is made finer where numbers overflow, and
+    """A motion's unknowns on a mesh that fits it; a large system's first mesh is made finer where numbers overflow, and
     where equal steps lose the motion those that DOP853 takes come first."""
     p, first = curve.equations, place
     tries = [1, 4, 16] if p.march.wide else [1] if p.links or p.gridded else [1, 0]
     for times in tries:
         try:
             place = first.on(divided(first.mesh, times)) if times else stepped(p.march, first, curve.units)
-            for k in range(ROUNDS):
+            for _ in range(2):
                 solution = Solution(place, p.varied(place, states=True), np.zeros((0, 0)), 0.0)
                 if times and not tries[-1] and _errors(curve, solution).max() > UNEVEN:
                     raise ConvergenceError("equal steps lose the motion")
-                if k > 1 and (tries[-1] or _growths(curve, solution).max() < MESH.steepest):
-                    break
                 place = remeshed(curve, solution)
             break
         except UNSOLVED:
@@ -210,7 +199,7 @@ def between(curve: Curve, solution: Solution, moments: np.ndarray) -> np.ndarray
 
 def sampled(march: March | Marches, w: Unknowns, states: np.ndarray, moments: np.ndarray) -> np.ndarray:
     """States (k x d) at moments (k, in periods) of a motion whose `states` at the mesh of w are known: a step on from
-    the one before, forced ones by Hermite's cubics."""
+    the last, forced motions by Hermite's cubics."""
     if march.forced:
         slopes = march.rates(states, w.tail, w.mesh * w.period) * w.period
         return np.asarray(CubicHermiteSpline(w.mesh, states, slopes)(moments))

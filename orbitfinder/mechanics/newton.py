@@ -45,7 +45,7 @@ class Settings:
     """evaluations one after another that leave more than the share `progress` of the least so far"""
     progress: float = 0.5
     shortest: float = 1e-5
-    """share of a damped step; one that wants less leads nowhere"""
+    """share of a damped step below which it leads nowhere"""
     halving: bool = False
     """a step that leaves as much or more, or no numbers, is taken back and halved"""
     cutoff: float = 1e-12
@@ -226,9 +226,9 @@ def natural(
         rows, solver = linearised(w)
         step = solver(rows)
         length = float(np.linalg.norm(step / units))
-        found = Solved(w, settings, rows, length, solver, count)
-        if not isfinite(length) or length <= settings.converged:
-            return found
+        here = Solved(w, settings, rows, length, solver, count)
+        if not isfinite(length) or length <= settings.converged or count > settings.most_evaluations:
+            return here
         while True:
             limit.check()
             count, trial = count + 1, moved(w, share * step)
@@ -239,8 +239,8 @@ def natural(
             if left <= (1 - share / 4) * length:
                 break
             share = min(max(best, share / 10), share / 2) if isfinite(best) else share / 10
-            if share < settings.shortest or count > settings.most_evaluations:
-                return found
+            if share < settings.shortest:
+                return here
         w, share = trial, min(1.0, best)
 
 

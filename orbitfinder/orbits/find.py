@@ -32,8 +32,10 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     """The periodic orbit that a Problem singles out, with its certificate.
 
     Multiple shooting solved by IPOPT with an explicit Hessian (so that a square problem is solved by Newton's
-    method), two or more Newton steps on the residual of a high-order integrator, the minimal period. Symmetric modes
-    of chains of 11 links and more are found by harmonic balance and shooting over a quarter period. The result may
+    method), two or more Newton steps on the residual of a high-order integrator, the minimal period. Motions with close
+    encounters or bursts, which equal steps lose, are searched by damped Newton steps on a mesh that fits them first, at
+    the guess's energy unless something is pinned. Symmetric modes of chains of 11 links and more are found by harmonic
+    balance and shooting over a quarter period. The result may
     still fail its certificate: look at `orbit.certificate.passed`.
 
     Args:

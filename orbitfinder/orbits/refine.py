@@ -69,7 +69,7 @@ TOGETHER = 8
 """Segments come in multiples of this where so many are marched side by side"""
 
 NEAR = 1e-8
-"""Share of the motion by which it may miss its end where it is integrated over the period in one go"""
+"""Share of the motion by which an integration over the whole period may miss its end"""
 ROUGH, FINE, ROUNDS = NewtonSettings(converged=1e-7), NewtonSettings(converged=1e-13), 8
 """How a single segment is closed, on so many meshes at most, and on the last of twice as many steps"""
 NODES = 8
@@ -159,6 +159,7 @@ class Refiner(Shown):
         return max(4, -(-self._whole_steps // (self.equations.links.count * segments)))
 
     def _solved(self, w: Unknowns, pins: Sequence[Pin]) -> Refined:
+        scales = measured_in(self.problem.model, w.nodes, w.period)
         newton = self._newton(w, path := self.equations.varied(w), pins, self.settings)
         w, residual = newton.solve(w, path)
         if not residual < self.settings.converged:
@@ -166,11 +167,10 @@ class Refiner(Shown):
                 f"warm refinement stalled at a residual of {residual:.2g}; the orbit is too unstable for "
                 f"{plural(len(w.nodes), 'segment')}, give the problem more"
             )
-        return self._checked(w, residual, newton, pins)
+        return self._checked(w, residual, newton, pins, np.asarray(scales or 1.0))
 
-    def _checked(self, w: Unknowns, residual: float, newton: Newton, pins: Sequence[Pin]) -> Refined:
-        """What has been found, unless it is an equilibrium."""
-        units = np.asarray(measured_in(self.problem.model, w.nodes, w.period) or 1.0)
+    def _checked(self, w: Unknowns, residual: float, newton: Newton, pins: Sequence[Pin], units: np.ndarray) -> Refined:
+        """What the iteration has come to, unless that is an equilibrium."""
         moved = float((np.abs(w.nodes[0] - w.nodes[-1]) / units).max())
         rates = self.equations.march.rates(w.nodes, w.tail, w.period * w.edges[:-1]) / units
         if moved < STANDSTILL and np.abs(rates).max() * w.period < STANDSTILL:
@@ -284,7 +284,7 @@ class Refiner(Shown):
             solved = newton.near(w)
             w, residual = solved.w, largest(solved.rows)
             if residual < self.settings.converged:
-                return self._checked(w, residual, newton, pins)
+                return self._checked(w, residual, newton, pins, units)
         path = p.varied(w, states=True)
         constant = displacement(self.problem, w, path.ends[-1])
         whole = p.symmetry.whole(w.mesh, path.states, constant)[1]

@@ -184,7 +184,7 @@ def _unevenly(
     problem: Problem, flow: Flow, settings: SolveSettings, report: Callback | None, began: float
 ) -> tuple[Orbit, Model]:
     """An orbit past close encounters or along bursts, on a mesh that fits its motion: by Newton's method at the guess's
-    own energy, over half a period first where the guess is one that a mirror leaves as it is; or else from where IPOPT
+    own energy, over half a period first where a mirror leaves the guess as it is; or else from where IPOPT
     ends."""
     pins = problem.pin if not problem.count().freedom else natural_pin(problem, problem.guess.start)
     square, tried = replace(problem, pin=pins), list[str]()
@@ -215,11 +215,12 @@ def _mirrors(problem: Problem) -> list[str]:
     model, state = problem.model, problem.guess.start
     if problem.symmetry != NONE.name or model.forced or problem.relative:
         return []
-    n, known = model.degrees_of_freedom, symmetries_of(with_mirrors(model))
-    kept = {
-        name: one.maps[0].matrix(n) @ state - state for name, one in known.items() if one.reverses and not one.maps[1:]
+    n, known = model.degrees_of_freedom, symmetries_of(with_mirrors(model)).items()
+    backward = {
+        name: symmetry.maps[0].matrix(n) for name, symmetry in known if symmetry.reverses and len(symmetry.maps) == 1
     }
-    return [name for name, off in kept.items() if np.abs(off).max() <= EPSILON * np.abs(state).max()]
+    small = EPSILON * np.abs(state).max()
+    return [name for name, matrix in backward.items() if np.abs(matrix @ state - state).max() <= small]
 
 
 def _refined(problem: Problem) -> tuple[Orbit, Model]:
