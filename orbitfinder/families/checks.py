@@ -307,8 +307,9 @@ class Sides:
         low, middle, high = self.values(name)
         first, last = (probe.value(name) for probe in self.outer)
         near, far = np.array([low, high]) - middle, np.array([first, last]) - middle
-        # a parabola's is 4, and round-off has none
-        return bool(abs(np.sign([*near, *far]).sum()) == 4 and 2.0 < far.sum() / near.sum() < 8.0)
+        known = 8 * EPSILON * abs(middle)  # a parabola's share is 4, and round-off has none
+        alike = np.abs(near).min() > known and abs(np.sign([*near, *far]).sum()) == 4
+        return bool(alike and 2.0 < far.sum() / near.sum() < 8.0)
 
 
 def _as(look: Probe, about: Any) -> Probe:
