@@ -303,7 +303,7 @@ def test_doublings_of_one_mass_beside_a_sharper_corner():
 
 @pytest.mark.parametrize(("off", "bends"), [(1e-15, False), (-2e-14, True), (2e-14, True)])
 def test_round_off_is_no_bend(off, bends):
-    """A canard's parameter beside its fold differed by 6, 4, 14 and 10 round-offs, as much as a parabola's, with the wrong
+    """A canard's parameter beside its fold differed by 6, 4, 14 and 10 round-offs, like a parabola's, with the wrong
     sign."""
     middle = 1.4258214774962878
     near, far = (middle + off * share for share in (1.3, 0.9)), [middle + off * share for share in (3.1, 4.2)]

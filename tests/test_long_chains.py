@@ -495,7 +495,7 @@ def test_a_large_family_marches_variations_once_a_point(monkeypatch, small):
 
 
 def test_a_first_mesh_on_which_numbers_overflow_is_made_finer(monkeypatch):
-    """Of a large system, whose fast modes its steps are too long for; elsewhere the guess is the wrong one."""
+    """Of a large system, whose fast modes its steps are too long for; elsewhere it is one of the steps of DOP853."""
     with compiling("off"):
         start = begin(mode_problem(10, 0.3), symmetry="brake+reflection")
         curve, place, varied = start.curve, start.solution.place, type(start.curve.equations).varied
@@ -509,5 +509,4 @@ def test_a_first_mesh_on_which_numbers_overflow_is_made_finer(monkeypatch):
         coarse = place.on(uniform(0.25, len(place.nodes), 4))
         assert fitted(curve, coarse).mesh.size > 30
         monkeypatch.setattr(March, "wide", False)
-        with pytest.raises(IntegrationError):
-            fitted(curve, coarse)
+        assert fitted(curve, coarse).mesh.size > 30

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from orbitfinder.integrate.dop853 import integrate
-from orbitfinder.integrate.held import shared
+from orbitfinder.integrate.held import Shared
 
 GROWTH = """
 import ctypes, gc, sys
@@ -105,12 +105,11 @@ def test_a_library_that_nothing_refers_to_is_closed(tmp_path):
     """ctypes keeps each for good: 40 kB with every other value of a parameter, 38 MB of a thousand orbits."""
 
     def mapped():
-        gc.collect()
         return "closed.so" in Path("/proc/self/maps").read_text()
 
     shutil.copy(_ctypes.__file__, tmp_path / "closed.so")
-    opened = shared(tmp_path / "closed.so")
-    function = opened.PyInit__ctypes
+    opened = Shared(tmp_path / "closed.so")
+    function = opened["PyInit__ctypes"]
     del opened
     assert mapped()  # its function needs it
     del function

@@ -34,7 +34,7 @@ from orbitfinder.integrate.compiled import (
     surroundings,
 )
 from orbitfinder.integrate.evaluate import Buffered
-from orbitfinder.integrate.held import shared
+from orbitfinder.integrate.held import Shared
 
 VectorField = Callable[[float, np.ndarray], np.ndarray]
 TOGETHER, MANY = (64, 1024), 640
@@ -84,7 +84,7 @@ class Library:
     """A field with its integrator, as compiled."""
 
     def __init__(self, path: Path) -> None:
-        library = shared(path)
+        library = Shared(path)
         self._dop853, self._rates = library["dop853"], library["rates"]
         self._stepped, self._strayed = library["stepped"], library["strayed"]
         self._dop853.argtypes = [ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_void_p, ctypes.c_void_p]

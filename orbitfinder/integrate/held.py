@@ -16,10 +16,12 @@ import ctypes
 import os
 import re
 import shutil
+import sys
 import tempfile
 import weakref
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -84,10 +86,10 @@ def holding(path: Path, numbers: np.ndarray) -> Iterator[Path]:
                 copy.unlink()
 
 
-def _filled(path: Path, numbers: np.ndarray) -> ctypes.CDLL:
+def _filled(path: Path, numbers: np.ndarray) -> Shared:
     """A library that holds these numbers, for as long as it is open."""
     try:
-        opened = shared(path)
+        opened = Shared(path)
         hold = opened["hold"]
     except (OSError, AttributeError) as error:
         raise ValueError(f"the library cannot be loaded: {error}") from None
@@ -96,10 +98,26 @@ def _filled(path: Path, numbers: np.ndarray) -> ctypes.CDLL:
     return opened
 
 
-def shared(path: Path) -> ctypes.CDLL:
-    """A shared library, closed when neither it nor a function of it is referred to: ctypes would keep it for good, and
-    with each set of numbers 40 kB more. By `opened["name"]`: `opened.name` would be kept by it, and it by that."""
-    opened = ctypes.CDLL(str(path))
-    if close := getattr(_ctypes, "dlclose", None):  # Windows keeps what is loaded
-        weakref.finalize(opened, close, opened._handle).atexit = False
-    return opened
+class Shared:
+    """A shared library, closed when neither it nor a function of it, `opened["name"]`, is referred to.
+
+    ctypes would keep it for good, 40 kB with each set of numbers, and its functions refer to themselves.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if sys.platform == "win32":  # which keeps what is loaded
+            self._handle = ctypes.CDLL(str(path))._handle
+        else:
+            self._handle = _ctypes.dlopen(str(path), ctypes.DEFAULT_MODE)
+            weakref.finalize(self, _ctypes.dlclose, self._handle).atexit = False
+
+    def __getitem__(self, name: str) -> Any:
+        """A function by its name, of integers and giving one until it is told otherwise. Raises `AttributeError`."""
+        if sys.platform == "win32":
+            return ctypes.CDLL(None, handle=self._handle)[name]
+        try:
+            function: Any = ctypes.CFUNCTYPE(ctypes.c_int)(_ctypes.dlsym(self._handle, name))
+        except OSError as error:
+            raise AttributeError(str(error)) from None
+        function.library = self
+        return function

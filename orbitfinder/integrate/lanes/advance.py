@@ -12,7 +12,7 @@ import numpy as np
 from orbitfinder._runtime import limit
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder.integrate.compiled import LIMITS, attempted, library, mode, surroundings, worth_it
-from orbitfinder.integrate.held import shared
+from orbitfinder.integrate.held import Shared
 from orbitfinder.integrate.lanes.emit import emitted, scalars
 from orbitfinder.integrate.lanes.kernel import LEVEL, march_code, source, varied_forms
 
@@ -44,7 +44,7 @@ class Advance:
     """The blocks of one field, as compiled."""
 
     def __init__(self, path: Path) -> None:
-        self._advance = shared(path)["advance"]
+        self._advance = Shared(path)["advance"]
         self._advance.argtypes = [ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
         self._advance.restype = ctypes.c_ssize_t
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import ctypes
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from orbitfinder._runtime import limit
 from orbitfinder.integrate.compiled import attempted, library, mode, surroundings
-from orbitfinder.integrate.held import shared
+from orbitfinder.integrate.held import Shared
 from orbitfinder.integrate.lanes.kernel import source
 
 
@@ -30,8 +31,8 @@ class Bordered:
     """
 
     def __init__(
-        self, opened: ctypes.CDLL, transitions: np.ndarray, columns: np.ndarray, first: np.ndarray, last: np.ndarray,
-        tail: np.ndarray, units: np.ndarray,
+        self, opened: tuple[Any, Any], transitions: np.ndarray, columns: np.ndarray, first: np.ndarray,
+        last: np.ndarray, tail: np.ndarray, units: np.ndarray,
     ) -> None:  # fmt: skip
         (n, d, m), wide = columns.shape, np.flatnonzero(np.any(first[:, columns.shape[1] :], axis=1))
         given = (
@@ -50,7 +51,7 @@ class Bordered:
         self._order, self._work = np.empty((n - 2) * whole + left, np.intp), np.empty(max(whole * width, left))
         limit.check()
         places = (each.ctypes.data for each in (self._memory, self._chain, self._kept, self._order, self._work))
-        if not opened.prepared(ctypes.byref(self._raw), *places):
+        if not opened[0](ctypes.byref(self._raw), *places):
             raise np.linalg.LinAlgError("singular matrix")
 
     def step(self, rows: np.ndarray) -> np.ndarray:
@@ -58,24 +59,24 @@ class Bordered:
         right, (count, more) = np.ascontiguousarray(rows, float), self._shape
         step, full = np.empty(count), np.empty(more)
         arrays = (self._chain, self._kept, self._order, right, step, full, self._work)
-        self._opened.stepped(ctypes.byref(self._raw), *(each.ctypes.data for each in arrays))
+        self._opened[1](ctypes.byref(self._raw), *(each.ctypes.data for each in arrays))
         return step
 
 
-def chains() -> ctypes.CDLL | None:
+def chains() -> tuple[Any, Any] | None:
     """What factorises them; None without a compiler."""
     return None if mode() == "off" else _made(mode(), *surroundings())
 
 
 @lru_cache(maxsize=8)
-def _made(*_: str | None) -> ctypes.CDLL | None:
+def _made(*_: str | None) -> tuple[Any, Any] | None:
     code = source("pivots.c") + source("bordered.c")
     return attempted("bordered", lambda: library(code, lambda path, new: _opened(path), None))
 
 
-def _opened(path: Path) -> ctypes.CDLL:
-    opened = shared(path)
-    opened.prepared.argtypes = [ctypes.c_void_p] * 6
-    opened.stepped.argtypes = [ctypes.c_void_p] * 8
-    opened.stepped.restype = None
-    return opened
+def _opened(path: Path) -> tuple[Any, Any]:
+    """What factorises, and what makes a step of the factors."""
+    opened = Shared(path)
+    prepare, step = opened["prepared"], opened["stepped"]
+    prepare.argtypes, step.argtypes, step.restype = [ctypes.c_void_p] * 6, [ctypes.c_void_p] * 8, None
+    return prepare, step

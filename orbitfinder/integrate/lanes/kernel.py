@@ -23,7 +23,7 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import LEAST
 from orbitfinder.integrate.compiled import LIMITS, Unavailable, attempted, begin, library, mode, surroundings, worth_it
-from orbitfinder.integrate.held import shared
+from orbitfinder.integrate.held import Shared
 from orbitfinder.integrate.lanes.emit import field_code, scalars
 from orbitfinder.integrate.lanes.factors import SparseSlopes, sparse_slopes
 from orbitfinder.integrate.rk8 import directional_field, step_of, variational_field
@@ -116,7 +116,7 @@ class Kernel:
 
     def _opened(self, path: Path, new: bool) -> dict[str, Any]:
         """The functions of a library loaded and, when new, compared with the interpreter."""
-        opened = shared(path)
+        opened = Shared(path)
         functions = {"march": opened["march"]}
         functions["march"].argtypes = SIGNATURE
         with contextlib.suppress(AttributeError):  # of what has variations

@@ -13,7 +13,7 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import LEAST
 from orbitfinder.integrate.compiled import LIMITS, attempted, library, mode, surroundings, worth_it
-from orbitfinder.integrate.held import shared
+from orbitfinder.integrate.held import Shared
 from orbitfinder.integrate.lanes.emit import emitted, scalars
 from orbitfinder.integrate.lanes.kernel import LEVEL, source
 
@@ -24,7 +24,7 @@ class Staging:
     """What is collocated with so many points a step, as compiled."""
 
     def __init__(self, path: Path, numbers: int) -> None:
-        opened = shared(path)
+        opened = Shared(path)
         self._changed, self._valued, self._numbers = opened["changed"], opened["valued"], numbers
         self._changed.argtypes = [ctypes.c_ssize_t, *[ctypes.c_void_p] * 8]
         self._valued.argtypes = [ctypes.c_ssize_t, *[ctypes.c_void_p] * 4]
