@@ -183,9 +183,11 @@ def _square(problem: Problem) -> bool:
 def _unevenly(
     problem: Problem, flow: Flow, settings: SolveSettings, report: Callback | None, began: float
 ) -> tuple[Orbit, Model]:
-    """An orbit past close encounters or along bursts, on a mesh that fits its motion: by Newton's method at the guess's
-    own energy, over half a period first where a mirror leaves the guess as it is; or else from where IPOPT
-    ends."""
+    """An orbit past close encounters or along bursts, by Newton's method on a mesh that fits its motion.
+
+    It starts from the guess, at the guess's own energy, over half a period first where a mirror leaves the guess as it
+    is; where that fails, from where IPOPT ends.
+    """
     pins = problem.pin if not problem.count().freedom else natural_pin(problem, problem.guess.start)
     square, tried = replace(problem, pin=pins), list[str]()
     for name in [*_mirrors(problem), problem.symmetry]:
