@@ -19,6 +19,7 @@ import math
 import os
 import re
 import signal
+import statistics
 import subprocess
 import sys
 import time
@@ -39,7 +40,10 @@ HEAD = ["| file | slow tests | seconds | the longest | result | last passed on |
 LIMIT, ENDED = 3600.0, "ended"
 QUICK, MARGIN, COLD = 1.0, 2.0, 3.0
 """A test or shared fixture above so many processor seconds is slow or stands in the budget. It fails the check above so
-many times its seconds, since processors differ, and so many more, since the first that needs a march compiles it."""
+many times its seconds and so many more, since the first that needs a march compiles it, each times what this machine
+takes where the budget's took one."""
+ENOUGH = 10
+"""So many entries that were measured say how fast this machine is: the median of what they took for what they may"""
 MOST, ALTOGETHER = 60, 150.0
 """The budget's entries and processor seconds at most"""
 
@@ -135,10 +139,13 @@ def replaced(text: str, rows: Iterable[str]) -> str:
 def over(times: Mapping[str, float], budget: Mapping[str, Any]) -> list[str]:
     """Sentences on what took longer than it may, and on a budget that is larger than it may be."""
     quick = {entry["name"]: entry["seconds"] for entry in budget["quick"]}
+    ratios = [times[name] / seconds for name, seconds in quick.items() if name in times]
+    pace = max(1.0, statistics.median(ratios)) if len(ratios) >= ENOUGH else 1.0
     found = [
         f"{name}: {seconds:.1f} s of processor time, allowed are {quick.get(name, QUICK):g} s"
+        + f" where all take {pace:.1f} times as long" * (pace > 1)
         for name, seconds in times.items()
-        if seconds > MARGIN * quick.get(name, QUICK) + COLD
+        if seconds > pace * (MARGIN * quick.get(name, QUICK) + COLD)
     ]
     if len(quick) > MOST or sum(quick.values()) > ALTOGETHER:
         found.append(

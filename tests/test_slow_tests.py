@@ -68,6 +68,14 @@ def test_what_is_above_its_budget_is_named():
     budget = {"quick": [{"name": "tests/test_a.py::test_false", "seconds": 5.0, "reason": "false orbits"}], "slow": []}
     times = {"tests/test_a.py::test_false": 12.9, "tests/test_b.py::test_b": 4.9, "tests/test_c.py::test_c": 5.1}
     assert slow_tests.over(times, budget) == ["tests/test_c.py::test_c: 5.1 s of processor time, allowed are 1 s"]
+    entries = [{"name": f"{k}", "seconds": 2.0, "reason": ""} for k in range(12)]
+    # A machine that takes three times as long with all of them, and more with one
+    slower = {f"{k}": 6.0 for k in range(11)}
+    assert slow_tests.over(slower | {"11": 20.9, "b": 14.9}, {"quick": entries, "slow": []}) == []
+    assert slow_tests.over(slower | {"11": 21.1, "b": 15.1}, {"quick": entries, "slow": []}) == [
+        "11: 21.1 s of processor time, allowed are 2 s where all take 3.0 times as long",
+        "b: 15.1 s of processor time, allowed are 1 s where all take 3.0 times as long",
+    ]
     large = {"quick": [{"name": f"{k}", "seconds": 3.0, "reason": ""} for k in range(61)], "slow": []}
     assert slow_tests.over({}, large) == ["tests/budget.toml: 61 entries, 183 s; at most 60, 150 s"]
 
