@@ -327,11 +327,14 @@ def _phase(jets: Jets, z: np.ndarray, p: np.ndarray, sizes: np.ndarray) -> np.nd
     return np.asarray(rows / nonzero(np.linalg.norm(rows, axis=1, keepdims=True)))
 
 
-def regular(jets: Jets, state: np.ndarray, values: np.ndarray, span: np.ndarray | None = None) -> AtRest:
-    """The problem of equilibria about a state; `span` (of the parameters) are ways that are to be gone."""
+def regular(
+    jets: Jets, state: np.ndarray, values: np.ndarray, span: np.ndarray | None = None, leaf: np.ndarray | None = None
+) -> AtRest:
+    """The problem of equilibria about a state; `span` (of the parameters) are ways that are to be gone, and the first
+    integrals keep the values that they have at `leaf` (d), the state itself when left out."""
     model, d = jets.model, jets.size
     z = np.concatenate([state, np.zeros(jets.extra)])
-    kept = jets.kept_at(state)
+    kept = jets.kept_at(state if leaf is None else leaf)
     p_sizes = parameter_sizes(model, jets.free, values)
     p_sizes = np.maximum(p_sizes, 0.0 if span is None else np.abs(span))
     whole = jets.first(z, values, kept)[: 1 + z.size]

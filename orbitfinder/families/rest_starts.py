@@ -25,9 +25,10 @@ from orbitfinder.mechanics.newton import Settings, equilibrium
 NEAR = Settings(floor=1e-14, round_off=1e-9, converged=1e-9, most_evaluations=40, farthest=1e3)
 ANYWHERE = replace(NEAR, longest=1.0, patience=12, progress=0.9)
 """Newton's whole steps near a state, and in a box, where none is longer than half its sides"""
-SAME, ZERO, MOST, FARTHEST = 1e-6, 1e-12, 30, 20_000
+SAME, ZERO, MOST, FARTHEST, REST = 1e-6, 1e-12, 30, 20_000, 1e-3
 """Equilibria nearer than this in sizes of a box are the same, components are 0; from a start so many are looked for.
-Evaluations of rates in a simulation to rest, whose steps are as long as the motion's own times allow"""
+Evaluations of rates in a simulation to rest, whose steps are as long as the motion's own times allow, and the share of
+its tolerance that a last step moves it by"""
 
 
 def refuse_moving(model: Model, parameter: str) -> None:
@@ -52,15 +53,18 @@ def first_equilibrium(
     for simulated in (False, True):
         start = _rested(model, state) if simulated else state
         jets = at_rest(model, (parameter,), start)
-        value = model.values_of([parameter])
-        problem = regular(jets, start, value, None if span is None else np.array([span])).seen(state, value)
+        value, ways = model.values_of([parameter]), None if span is None else np.array([span])
+        problem = regular(jets, start, value, ways, state)
+        problem = problem.seen(np.concatenate([state, np.zeros(jets.extra)]), value)
         z = _newton(problem, start, value)
         if z is not None:
             z = np.where(np.abs(z) <= NOISE * problem.z_sizes, 0.0, without_noise(problem, z, value))
             there = at_rest(model, (parameter,), z[: jets.size])
             jets = jets if jets.unfolded == there.unfolded else there
-            problem = regular(jets, z[: jets.size], value, None if span is None else np.array([span]))
-            return problem if z.any() else problem.seen(state, value), z  # where all is 0, the start alone has sizes
+            problem = regular(jets, z[: jets.size], value, ways, state)
+            if not z.any():  # the start alone has sizes
+                problem = problem.seen(np.concatenate([state, z[jets.size :]]), value)
+            return problem, z
     raise ConvergenceError("no equilibrium: Newton's method finds none near the state, and a simulation from there "
                            "does not come to rest; give a state nearer to one")  # fmt: skip
 
@@ -96,13 +100,16 @@ def _apart(problem: AtRest, z: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _rested(model: Model, state: np.ndarray) -> np.ndarray:
-    """Where a motion is after many steps of BDF, which grow without bound where it rests, with 0 for what is 0 to its
-    tolerance; the state itself where it cannot be integrated or becomes faster."""
+    """Where a motion has come to rest by steps of BDF, with 0 for what is 0 to its tolerance; the state itself where it
+    cannot be integrated or becomes faster. Its steps grow without bound at rest and leave the first integrals behind
+    (their Jacobian is of differences), so that they end where one moves it by far less than the tolerance."""
     values, least = model.parameter_values, 1e-9 * state_sizes(model, np.abs(state))
     with np.errstate(all="ignore"), contextlib.suppress(ValueError, ArithmeticError):
         path = BDF(lambda _, x: model.rate(0.0, x, values).full().ravel(), 0.0, state, np.inf, rtol=1e-6, atol=least)
         while path.status == "running" and path.nfev < FARTHEST:
             path.step()
+            if (np.abs(path.fun(path.t, path.y)) * path.step_size <= REST * least).all():
+                break
         before, after = (np.abs(path.fun(0.0, x) / least).max() for x in (state, path.y))
         return np.where(np.abs(path.y) <= least, 0.0, path.y) if after < before else state
     return state
