@@ -74,10 +74,16 @@ def modules() -> dict[str, ast.Module]:
 
 
 @cache
+def nodes(module: str) -> tuple[ast.AST, ...]:
+    """Every node of a module; to walk them all takes a second, and most tests here do."""
+    return tuple(ast.walk(modules()[module]))
+
+
+@cache
 def imports(module: str) -> list[tuple[str, str]]:
     """(what it is imported from, the name), wherever in the file the import stands."""
     found = []
-    for node in ast.walk(modules()[module]):
+    for node in nodes(module):
         if isinstance(node, ast.Import):
             found += [(alias.name, "") for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -174,8 +180,8 @@ def test_nobody_takes_what_is_anothers_own():
     ]
     again = [
         f"{module}: {alias.name} as {alias.asname}"
-        for module, tree in modules().items()
-        for node in ast.walk(tree)
+        for module in modules()
+        for node in nodes(module)
         if module and isinstance(node, ast.ImportFrom)
         for alias in node.names
         if alias.asname == alias.name
@@ -185,8 +191,8 @@ def test_nobody_takes_what_is_anothers_own():
 
 def test_symmetries_are_spelled_in_two_files():
     spelled = defaultdict(set)
-    for module, tree in modules().items():
-        for node in ast.walk(tree):
+    for module in modules():
+        for node in nodes(module):
             if isinstance(node, ast.Constant) and node.value in SYMMETRIES:
                 spelled[module].add(node.value)
     assert set(spelled) == set(SPELLING)
@@ -196,8 +202,8 @@ def test_the_library_does_not_print_and_names_what_it_handles():
     """Results go through return values and the command line; no handler takes everything unnamed."""
     wrong = [
         f"{module}:{node.lineno}"
-        for module, tree in modules().items()
-        for node in ast.walk(tree)
+        for module in modules()
+        for node in nodes(module)
         if (isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print")
         or (isinstance(node, ast.ExceptHandler) and not node.type)
     ]
@@ -217,8 +223,8 @@ def code_lines(node):
 def test_functions_are_short():
     long = [
         f"{module}.{node.name}: {code_lines(node)} lines"
-        for module, tree in modules().items()
-        for node in ast.walk(tree)
+        for module in modules()
+        for node in nodes(module)
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and code_lines(node) > 60
     ]
     assert not long
@@ -227,8 +233,8 @@ def test_functions_are_short():
 def test_kinds_of_systems_are_asked_in_one_file():
     """What is special to a kind stands in its entry of `mechanics.kind.KINDS`."""
     kinds, asked = {"chain", "linkage", "mechanism", "robot", "python"}, set()
-    for module, tree in modules().items():
-        for node in (one for one in ast.walk(tree) if isinstance(one, ast.Compare)):
+    for module in modules():
+        for node in (one for one in nodes(module) if isinstance(one, ast.Compare)):
             named = {one.value for one in ast.walk(node) if isinstance(one, ast.Constant)}
             if named & kinds and "kind" in ast.unparse(node):
                 asked.add(module)
@@ -242,8 +248,8 @@ def test_every_kind_of_event_has_a_check():
     from orbitfinder.show.diagram import LOOKS
 
     made = {kind for root in (1, 2) for _, kind, *_ in index_levels(root, 6)}
-    for module, tree in modules().items():
-        for node in ast.walk(tree) if module.startswith("families") else ():
+    for module in modules():
+        for node in nodes(module) if module.startswith("families") else ():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("Test", "Margin"):
                 made |= {one.value for one in ast.walk(node.args[0]) if isinstance(one, ast.Constant)}
     assert len(made) > 8 and made <= set(KINDS), made - set(KINDS)
@@ -286,10 +292,10 @@ def iterates(node):
 def test_newton_is_written_once():
     """A loop that solves linear equations, or calls a function of its file that does, is there or has a reason."""
     found = set()
-    for module, tree in ((module, tree) for module, tree in modules().items() if not module.startswith("proof")):
-        functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    for module in (module for module in modules() if not module.startswith("proof")):
+        functions = [node for node in nodes(module) if isinstance(node, ast.FunctionDef)]
         solving = SOLVERS | {one.name for one in functions if calls(one.body) & SOLVERS}
-        loops = [node for node in ast.walk(tree) if iterates(node)]
+        loops = [node for node in nodes(module) if iterates(node)]
         found |= {module for loop in loops if calls(loop.body) & solving}
     assert found == set(ITERATIONS)
 
@@ -311,8 +317,8 @@ HALVED = {
 def test_brackets_are_closed_and_steps_halved_in_one_place():
     """Of what is followed; whatever else does so has its reason."""
     brackets, halved = set(), set()
-    for module, tree in modules().items():
-        for node in ast.walk(tree):
+    for module in modules():
+        for node in nodes(module):
             if isinstance(node, ast.Call) and calls([node]) & {"brentq", "bisect", "toms748", "root_scalar"}:
                 brackets.add(module)
             value = node.value if isinstance(node, ast.AugAssign) else None
@@ -331,8 +337,8 @@ def test_what_guards_a_quotient_is_said_once():
     """`nonzero`, `size_of` and `relative` say what a size of 0 is; nobody writes a number of his own for it."""
     written = {
         module
-        for module, tree in modules().items()
-        for node in ast.walk(tree)
+        for module in modules()
+        for node in nodes(module)
         if isinstance(node, ast.Constant) and isinstance(node.value, float) and 0 < node.value < 1e-200
     }
     assert written == {"_runtime.sizes"}
@@ -399,8 +405,8 @@ def names_in(node):
 def test_no_wide_handler_takes_a_time_limit():
     """`except Exception` comes behind the limit's own handler, or raises again: it said "is no matrix (stopped)"."""
     wrong = []
-    for module, tree in modules().items():
-        for node in ast.walk(tree):
+    for module in modules():
+        for node in nodes(module):
             passed, handlers = set(), node.handlers if isinstance(node, ast.Try) else ()
             for handler in handlers:
                 names = names_in(handler.type)
