@@ -36,8 +36,8 @@ Generated from `orbitfinder/problemfile/schema.py` by
 
 A problem file is TOML in UTF-8. All quantities are in SI units, angles in rad from the downward vertical, x down and
 y to the right. Unknown keys, NaN and infinity are refused. `orbitfinder init NAME` writes a commented example. A system
-that has no kind of its own is written as [equations in text](how-to/text.md); [XPPAUT's FILE.ode](how-to/xppaut.md) is
-taken as it is.
+that has no kind of its own is written as [equations in text](how-to/text.md); [XPPAUT's FILE.ode](how-to/xppaut.md) and
+[SBML's FILE.xml](how-to/sbml.md) are taken as they are.
 
 ```toml
 name = "pendulum-2rad"

@@ -80,6 +80,7 @@ from .orbits.simulate import simulate as simulate
 from .orbits.sweep import sweep as sweep
 from .problemfile.auto import from_auto as from_auto
 from .problemfile.read import load_problem as load_problem
+from .problemfile.sbml import from_sbml as from_sbml
 from .problemfile.xpp import from_xpp as from_xpp
 from .proof.equilibria import prove_equilibria as prove_equilibria
 from .proof.theorem import prove as prove

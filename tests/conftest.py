@@ -134,6 +134,7 @@ EXTRAS = {
     "parquet": ("pyarrow",),
     "proof": ("flint",),
     "robot": ("urdf_parser_py", "mujoco", "sympy"),
+    "sbml": ("libsbml",),
     "studio": ("nicegui",),
 }
 """Modules that an extra brings; `@pytest.mark.needs("proof")` skips a test where one of them is missing."""

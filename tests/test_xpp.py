@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
-from orbitfinder.errors import InputError
+from orbitfinder.errors import Hint, InputError
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.problemfile.read import load_problem_file
 
@@ -135,6 +135,9 @@ READ = {
     "x'=1\nThese are words": 1.0,
     "x'=1\ndone\nnonsense (": 1.0,
     "x'=if(x>0)then(2)else(3)": 2.0,
+    "x'=5HT-2b\n5HT=4*2B\npar 2b=3": 9.0,
+    "x'=1+\\\\ \n2": 3.0,
+    "x[1...2]'=1\ninit x1=1": 1.0,
 }
 """At x = 1 (or its initial state) what each text gives as the first rate"""
 
@@ -207,6 +210,39 @@ def test_global_makes_an_automaton(read):
     assert build_model(two.system).system == two.system
 
 
+def test_a_value_is_what_xppaut_reads_of_it(read):
+    """A number is its beginning, as C's atof has it, and that is said."""
+    with pytest.warns(Hint, match="line 2: 'par b=8/3': b=8/3 as 8: XPPAUT reads no more of it"):
+        model = read("x'=b\npar b=8/3\n")
+    assert model.parameter_values.tolist() == [8.0] and "read b=8/3 as 8" in model.system["left_out"]
+    with pytest.warns(Hint, match="x=c as 0"):
+        assert read("x'=1\ninit x=c\n").landmarks["init"] == (0.0,)
+
+
+def test_a_start_may_be_a_formula(read):
+    """Of parameters and functions; one that is drawn at random is 0 and said."""
+    text = "par a=3\nf(u)=u^2\nx[1..2]'=x[j]\ny'=a\nz'=-z\ninit x1=2\nx2(0)=f(a)+x1\ny(0)=ran(1)\nz(0)=exp(t)\n"
+    model = read(text)
+    assert model.landmarks["init"] == (2.0, 11.0, 0.0, 1.0) and "start y(0)=ran(1)" in model.system["left_out"]
+    assert read("par a=3\nx'=y\ny'=x\nx(0)=log(-a)\ny(0)=a\n").landmarks["init"] == (0.0, 3.0)
+
+
+def test_parameters_at_a_time_are_those_that_events_have_left(tmp_path):
+    """x' = a - x, where a doubles at 5, is 7 more from 20 minutes on, and does nothing at 400."""
+    text = (
+        "par a=1,k=2\nx'=a-x\nm=t/60\nglobal 1 {m-20} {a=a0+7;x=3}\nglobal 1 t-5 {a=2*k}\nglobal 1 400-t {a=9}\na0=k\n"
+    )
+    (tmp_path / "a.ode").write_text(text)
+    for time, value in ((0.0, 1.0), (4.0, 1.0), (6.0, 4.0), (1199.0, 4.0), (1201.0, 9.0)):
+        model = of.from_xpp(tmp_path / "a.ode", time=time)
+        assert dict(zip(model.parameter_names, model.parameter_values, strict=True))["a"] == value and model.smooth
+    assert "global 1 t-5 {a=2*k}" in model.system["left_out"]
+    for line in ("global 1 {x+t-5} {a=2}", "global 1 sin(t) {a=2}"):
+        (tmp_path / "a.ode").write_text(f"par a=1\nx'=a-x\n{line}\n")
+        with pytest.raises(InputError, match=r"line 3: .*no time at which it happens"):
+            of.from_xpp(tmp_path / "a.ode", time=6.0)
+
+
 REFUSED = {
     "markov z 2": "jumps at random",
     "wiener w": "noise makes no",
@@ -217,8 +253,8 @@ REFUSED = {
     "x(t+1)=x": "makes a map",
     "y'=ran(1)": "at random",
     "y'=xx": "unknown name 'xx', did you mean 'x'?",
-    "par b=8/3": "'b=8/3' is no name=number",
-    "x(0)=a": "is not understood",
+    "par 8=b": "'8=b' is no name=number",
+    "5HT'=5HQ": "no expression",
     "x'=2*x": "x is defined in line 2 too",
     "par X=1": "X is defined in line 2 too",
     "init q=3": "the rate of q",
@@ -234,6 +270,8 @@ REFUSED = {
     "x[j]'=1": "[j] belongs to a line with a range",
     "global 1 x-1 {a=2}": "a is a parameter that it changes",
     "global 1 t-1 {x=2}": "happens at a time",
+    "global 1 t-1 {a=2}": "take the rates at a time",
+    "global 1 x-1 {x=t}": "happens at a time",
     "global 1 x {q=2}": "resets no variable",
     "global x {x=2}": "is not understood; write global 1",
     "y'=sum(0,x)of(i')": "a sum is written",

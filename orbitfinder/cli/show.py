@@ -21,7 +21,7 @@ def show(files: tuple[Path, ...]) -> None:
 
     An orbit, a family, an atlas, optima, tori, equilibria, a section, a manifold, a connection, a controller, a proof
     of a branch. FILE#K is one of those in it. Nothing is computed: it is what the file says, and `verify` checks it.
-    For a problem file or an XPPAUT file (.ode) it shows what is understood and what is left out.
+    For a problem file, an XPPAUT file (.ode) or an SBML file (.xml) it shows what is understood and what is left out.
 
     \b
     Examples:
@@ -31,7 +31,7 @@ def show(files: tuple[Path, ...]) -> None:
     """
     results = []
     for file in files:
-        if file.suffix in (".toml", ".ode"):
+        if file.suffix in (".toml", ".ode", ".xml", ".sbml"):
             from orbitfinder.problemfile.read import load_problem_file
 
             facts = load_problem_file(file).facts

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import runpy
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,6 +31,7 @@ from orbitfinder.mechanisms.robot import robot
 from orbitfinder.orbits.guesses.linear import linear_response
 from orbitfinder.orbits.guesses.modes import normal_mode, rest_near
 from orbitfinder.orbits.guesses.returns import first_return, normal_mode_sum, recurrences
+from orbitfinder.problemfile.sbml import sbml_document
 from orbitfinder.problemfile.schema import (
     ControlTable,
     FindTable,
@@ -131,10 +132,16 @@ def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
     source = Path(path)
     if source.suffix == ".py":
         return _load_python(source, trust)
-    document = xpp_document(source) if source.suffix == ".ode" else read_toml(source)
+    document = READERS.get(source.suffix, read_toml)(source)
     table = parse(document, str(source))
     with _located(source):
         return _build(source, document, table, trust)
+
+
+READERS: dict[str, Callable[[Path], Entries]] = {
+    ".ode": xpp_document, ".xml": sbml_document, ".sbml": sbml_document,
+}  # fmt: skip
+"""Files of other programs that stand for a problem file, by how they end"""
 
 
 def read_toml(source: Path) -> Entries:

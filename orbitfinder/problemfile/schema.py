@@ -266,10 +266,9 @@ OWN: dict[str, dict[str, tuple[Any, ...] | None]] = {
         "mass": (Matrix, ...), "damping": (Matrix | None, None), "stiffness": (Matrix, ...),
         "elements": (dict[str, ElementTable] | None, None), "forcing": (LoadTable | None, None),
     },
-    "xpp": {
-        "path": None, "file": (Line, ..., "the XPPAUT file, in the folder of the problem file"),
-        "parameters": (dict[str, float] | None, None, "other values of its parameters"),
-    },
+    **{name: {"path": None, "file": (Line, ..., f"the {word} file, in the folder of the problem file"),
+              "parameters": (dict[str, float] | None, None, "other values of its parameters")}
+       for name, word in (("xpp", "XPPAUT"), ("sbml", "SBML"))},
     "chain": {"links": (Annotated[int, Field(ge=1, le=2000)], ...)},  # the matrices of longer ones fill the memory
     "linkage": {
         "length": (Annotated[list[Positive], Field(min_length=2, max_length=40)], ...),

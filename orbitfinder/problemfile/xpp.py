@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -15,25 +16,25 @@ from pathlib import Path
 
 import numpy as np
 
-from orbitfinder.errors import InputError, shortened
+from orbitfinder.errors import Hint, InputError, shortened
 from orbitfinder.mechanics.equations import RESERVED
 from orbitfinder.mechanics.expression import expression
 from orbitfinder.mechanics.kind import build_model
-from orbitfinder.mechanics.model import Model, altered
+from orbitfinder.mechanics.model import Model, altered, vector_field
 from orbitfinder.records.reading import Entries, file_beside, file_bytes
 
 NAME, NUMBER = r"[A-Za-z_]\w*", r"[+-]?(?:\d++\.?\d*+|\.\d++)(?:[eE][+-]?\d++)?"
 PAGE, WORD = "docs/how-to/xppaut.md", re.compile(rf"(?<![\w.]){NAME}")
-RANGE, INDEX = re.compile(r"\[(-?\d{1,6}) ?\.\. ?(-?\d{1,6})\]"), re.compile(r"\[j ?(?:([+*-]) ?(\d{1,6}))?\]", re.I)
+RANGE, INDEX = re.compile(r"\[(-?\d{1,6}) ?\.\.+ ?(-?\d{1,6})\]"), re.compile(r"\[j ?(?:([+*-]) ?(\d{1,6}))?\]", re.I)
 COMMANDS, LEFT_OUT = (
     {"d": "end", "gr": "group", "ma": "markov", "so": "algebraic", "au": "aux", "ve": "special", "sp": "special",
      "ex": "export", "on": "only", "v": "volterra", "ta": "table", "p": "parameters", "w": "wiener", "n": "let",
      "o": "options", "se": "set", "b": "bndry", "g": "global", "i": "start"},
-    ("aux", "only", "options", "set", "bndry", "unknown"),
+    ("aux", "only", "options", "set", "bndry", "read", "unknown"),
 )  # fmt: skip
 """What a line without an equation is, by how its first word begins, the first that fits; which of them change no rate:
-columns of tables, choices of a window, values to choose from later, conditions at two ends, and what begins with a word
-that XPPAUT does not know either"""
+columns of tables, choices of a window, values to choose from later, conditions at two ends, a value of which XPPAUT
+reads the beginning alone, and what begins with a word that XPPAUT does not know either"""
 REFUSED, STRANGE = (
     {"markov": "a variable that jumps at random is no differential equation; leave it out",
      "wiener": "noise makes no differential equation; make it a parameter of value 0: par name=0",
@@ -60,9 +61,10 @@ PRIORITIES, OWN = (
 """How tightly operators bind, all from the left, a minus and a not before something as a product does; XPPAUT's
 functions that are written out in ours"""
 FORMS = {
-    rf"({NAME}) ?' ?=(.*)": "rates", rf"d({NAME}) ?/ ?dt ?=(.*)": "rates", rf"({NAME}) ?\( ?0 ?\) ?=(.*)": "start",
-    rf"({NAME}) ?\( ?t ?\+ ?1 ?\) ?=(.*)": "map", r"(0) ?=(.*)": "algebraic",
-    rf"({NAME} ?\( ?{NAME}[ \w,]*\)) ?=(.*)": "let", rf"!? ?({NAME}) ?=([^=].*|)": "let",
+    rf"(\d*{NAME}) ?' ?=(.*)": "rates", rf"d(\d*{NAME}) ?/ ?dt ?=(.*)": "rates",
+    rf"(\d*{NAME}) ?\( ?0 ?\) ?=(.*)": "start", rf"({NAME}) ?\( ?t ?\+ ?1 ?\) ?=(.*)": "map",
+    r"(0) ?=(.*)": "algebraic", rf"({NAME} ?\( ?{NAME}[ \w,]*\)) ?=(.*)": "let",
+    rf"!? ?(\d*{NAME}) ?=([^=].*|)": "let",
 }  # fmt: skip
 """Lines that define something, the first that fits"""
 
@@ -131,8 +133,12 @@ def xpp_document(path: Path, period: str | float | None = None, time: float | No
         raise InputError("time: what is taken at a time has no period; leave period out")
     seen: dict[tuple[str, str], _Entry] = {}
     left_out, resets = list[str](), list[_Entry]()
-    for entry in _entries(path):
+    for entry in _named([*_entries(path)], left_out):
         key = (entry.table if entry.table in ("start", "total") else "", entry.word)
+        if entry.table == "read":
+            warnings.warn(
+                f"{entry.where}: {entry.name}: XPPAUT reads no more of it; write a number", Hint, stacklevel=4
+            )
         if entry.table in LEFT_OUT:
             left_out.append(f"{entry.table} {entry.name}".strip())
         elif entry.table == "global":
@@ -147,10 +153,9 @@ def xpp_document(path: Path, period: str | float | None = None, time: float | No
         raise InputError(f"{path}: no equations x'=... or dx/dt=...; give an XPPAUT file of differential equations")
     reading = _Definitions(tables, path.parent, time)
     system = reading.system(resets)
-    left_out += [f"{name} enters no rate" for name in reading.idle]
+    left_out += reading.left_out
     left_out += [f"{old} is called {new}" for old, new in reading.renamed]
     system |= {} if period is None else {"period": period}
-    system |= {"left_out": left_out} if left_out else {}
     try:
         build_model(system)
     except InputError as error:
@@ -160,9 +165,39 @@ def xpp_document(path: Path, period: str | float | None = None, time: float | No
     starts, rates = {entry.word: entry for entry in tables["start"]}, {entry.word for entry in tables["rates"]}
     for word in starts.keys() - rates:
         raise starts[word].fault(f"nothing gives the rate of {word}; add {word}'=...")
-    state = [float(starts[entry.word].text) if entry.word in starts else 0.0 for entry in tables["rates"]]
+    state = _started(reading, starts, tables["rates"], left_out)
+    system |= {"left_out": left_out} if left_out else {}
     total = {"duration": float(seen["total", "duration"].text)} if ("total", "duration") in seen else {}
     return {"system": system, "simulate": {"state": state, **total}}
+
+
+def _named(entries: Sequence[_Entry], left_out: list[str]) -> Iterator[_Entry]:
+    """The same with names that begin with a letter: XPPAUT takes 5HT, which expressions cannot tell from a number."""
+    odd = {entry.word: f"x_{entry.name}" for entry in entries if re.fullmatch(r"\d+[a-z_]\w*", entry.word)}
+    left_out += [f"{new.removeprefix('x_')} is called {new}" for new in odd.values()]
+    words = re.compile(rf"(?<![\w.])(?:{'|'.join(odd)})\b", re.IGNORECASE)
+    for entry in entries:
+        name, text = (words.sub(lambda match: odd[match[0].lower()], each) if odd else each
+                      for each in (entry.name, entry.text))  # fmt: skip
+        yield replace(entry, name=name, text=text)
+
+
+def _started(
+    reading: _Definitions, starts: Mapping[str, _Entry], rates: Sequence[_Entry], left_out: list[str]
+) -> list[float]:
+    """The state at t = 0; a formula by the parameters and the numbers of other states, 0 where it has no value."""
+    number = {word: float(entry.text) for word, entry in starts.items() if re.fullmatch(NUMBER, entry.text)}
+    state = [number.get(entry.word, 0.0) for entry in rates]
+    formulas = [k for k, entry in enumerate(rates) if entry.word in starts.keys() - number.keys()]
+    for tried in (formulas, *([k] for k in formulas)):  # each by itself where not all can be read
+        with suppress(InputError):
+            values = reading.values({rates[k].word: starts[rates[k].word].text for k in tried}, state)
+            formulas = [k for k in formulas if k not in tried or not math.isfinite(values[k])]
+            state = [values[k] if k in tried and k not in formulas else x for k, x in enumerate(state)]
+        if not formulas:
+            break
+    left_out += [f"start {starts[rates[k].word].name}(0)={starts[rates[k].word].text}" for k in formulas]
+    return state
 
 
 class _Definitions:
@@ -171,7 +206,7 @@ class _Definitions:
     def __init__(self, tables: Mapping[str, Sequence[_Entry]], folder: Path, time: float | None) -> None:
         self.tables, self.folder, self.time = tables, folder, time
         self.defined = {entry.word: entry for key in ("let", "table") for entry in tables[key]}
-        self.renamed, self.spelled, self.idle = list[tuple[str, str]](), dict[str, str](), list[str]()
+        self.renamed, self.spelled, self.left_out = list[tuple[str, str]](), dict[str, str](), list[str]()
         named = [entry for key in ("rates", "parameters", "let", "table") for entry in tables[key]]
         taken = {entry.word for entry in named}
         for entry in named:
@@ -185,11 +220,11 @@ class _Definitions:
     def system(self, resets: Sequence[_Entry]) -> Entries:
         """The table of a problem file: what the rates and the resets use, and no more. Raises `InputError`."""
         made: Entries = {"kind": "equations", "find_invariants": True}
-        made["parameters"] = {self.spelled[entry.word]: float(entry.text) for entry in self.tables["parameters"]}
+        made["parameters"] = {self.spelled[word]: value for word, value in self._passed(resets).items()}
         events = [event for entry in resets for event in self._events(entry)]
         used = self._used([entry.text for entry in self.tables["rates"]])
         used |= self._used([text for event in events for text in (event["guard"], *event["reset"].values())])
-        self.idle = [entry.name for word, entry in self.defined.items() if word not in used]
+        self.left_out += [f"{entry.name} enters no rate" for word, entry in self.defined.items() if word not in used]
         made["rates"] = {self.spelled[entry.word]: self.text(entry) for entry in self.tables["rates"]}
         made["let"] = dict[str, str]()
         for word, entry in self.defined.items():
@@ -197,6 +232,12 @@ class _Definitions:
                 made["let"] |= self._rows(entry) if entry.table == "table" else {self._head(entry): self.text(entry)}
         made["let"] |= {head: text for word, (head, text) in OWN.items() if word in used and word not in self.spelled}
         return made | ({"events": {f"event_{k}": event for k, event in enumerate(events, 1)}} if events else {})
+
+    def values(self, texts: Mapping[str, str], state: Sequence[float], time: float = 0.0) -> list[float]:
+        """What formulas are at a state and a time, each in the place of a variable's rate. Raises `InputError`."""
+        rates = [replace(entry, text=texts.get(entry.word, "0")) for entry in self.tables["rates"]]
+        model = build_model(_Definitions({**self.tables, "rates": rates}, self.folder, time).system(()))
+        return [float(value) for value in vector_field(model)(0.0, state, [], []).full().ravel()]
 
     def _used(self, texts: Sequence[str]) -> set[str]:
         """All words of texts, in small letters, and of what defines them."""
@@ -210,27 +251,55 @@ class _Definitions:
             waiting += [self.defined[word].text for word in new if word in self.defined]
         return used
 
+    def _passed(self, resets: Sequence[_Entry]) -> dict[str, float]:
+        """The parameters at the time of the rates, as lines `global` of earlier times leave them. Raises `InputError`.
+
+        Their conditions are linear in the time; the last in time decides.
+        """
+        values = {entry.word: float(entry.text) for entry in self.tables["parameters"]}
+        passed, (first, *others) = list[tuple[float, dict[str, str]]](), [entry.word for entry in self.tables["rates"]]
+        state = np.zeros(1 + len(others)).tolist()
+        for entry in resets:
+            direction, condition, actions = _global(entry)
+            if self.time is not None and "t" in (used := self._used([condition])):
+                self.left_out.append(f"global {entry.text}")
+                begin, half, end = (self.values({first: condition}, state, k * self.time / 2)[0] for k in range(3))
+                if used & {first, *others} or not abs(begin - 2 * half + end) <= 1e-9 * max(abs(begin), abs(end)):
+                    raise entry.fault("is no time at which it happens, such as t-100; leave it out")
+                if (begin < 0 < end and direction >= 0) or (begin > 0 >= end and direction <= 0):
+                    passed.append((begin / (begin - end) * self.time, actions))
+        for time, actions in sorted(passed, key=lambda each: each[0]):
+            values |= {
+                word: self.values({first: text}, state, time)[0] for word, text in actions.items() if word in values
+            }
+        return values
+
     def _events(self, entry: _Entry) -> Iterator[Entries]:
-        """The events of a line `global`; none where it only prints or ends a simulation. Raises `InputError`."""
-        read = re.fullmatch(r"([+-]?[01]) ?(?:\{([^{}]*)\}|([^{}]*)) ?\{([^{}]*)\}?", entry.text)
-        if read is None:
-            raise entry.fault("is not understood; write global 1 {v-30} {v=c;u=u+d}")
-        condition, values = (read[2] or read[3] or "").strip(), dict[str, str]()
+        """The events of a line `global`; none where it only prints or ends a simulation, or was `_passed`.
+
+        Raises `InputError`.
+        """
+        direction, condition, actions = _global(entry)
+        timed, values = "t" in self._used([condition]), dict[str, str]()
+        if timed and self.time is not None:
+            return
         tables = {each.word: each.table for key in ("rates", "parameters") for each in self.tables[key]}
-        for part in filter(None, map(str.strip, read[4].split(";"))):
-            name, _, text = map(str.strip, part.partition("="))
-            table = tables.get(name.lower(), "")
+        for word, text in actions.items():
+            table = tables.get(word, "")
+            if table and (timed or "t" in self._used([text])):
+                raise entry.fault("happens at a time and not at a state; leave it out, or take the rates at a time, "
+                                  "time = 100")  # fmt: skip
             if table == "parameters":
-                raise entry.fault(f"{name} is a parameter that it changes; make it a variable, {name}'=0")
+                raise entry.fault(f"{word} is a parameter that it changes; make it a variable, {word}'=0")
             if table == "rates" and text:
-                values[self.spelled[name.lower()]] = self.text(entry, text)
-            elif name.lower() not in ("out_put", "arret"):
-                raise entry.fault(f"{part!r} resets no variable; write {{v=c}} of a variable that has a rate")
-        if values and "t" in self._used([condition, *values.values()]):
-            raise entry.fault("happens at a time and not at a state; leave it out, or make the time a variable")
+                values[self.spelled[word]] = self.text(entry, text)
+            elif word not in ("out_put", "arret"):
+                raise entry.fault(
+                    f"{shortened(f'{word}={text}')} resets no variable; write {{v=c}} of a variable that has a rate"
+                )
         if values:
-            for direction in (int(read[1]),) if int(read[1]) else (-1, 1):
-                yield {"guard": self.text(entry, condition), "direction": direction, "reset": values}
+            for way in (direction,) if direction else (-1, 1):
+                yield {"guard": self.text(entry, condition), "direction": way, "reset": values}
 
     def _head(self, entry: _Entry) -> str:
         """Its name as our `let` has it, the arguments of a function with it."""
@@ -310,6 +379,15 @@ class _Definitions:
         ]
 
 
+def _global(entry: _Entry) -> tuple[int, str, dict[str, str]]:
+    """The direction, the condition and the actions of a line `global`. Raises `InputError`."""
+    read = re.fullmatch(r"([+-]?[01]) ?(?:\{([^{}]*)\}|([^{}]*)) ?\{([^{}]*)\}?", entry.text)
+    if read is None:
+        raise entry.fault("is not understood; write global 1 {v-30} {v=c;u=u+d}")
+    actions = [part.partition("=") for part in read[4].split(";") if part.strip()]
+    return int(read[1]), (read[2] or read[3] or "").strip(), {a.strip().lower(): b.strip() for a, _, b in actions}
+
+
 def _argument(name: str) -> str:
     """What an argument of a function is called here."""
     return f"{name}_1" if name.lower() in RESERVED else name
@@ -347,7 +425,7 @@ def _summed(text: str) -> str:
 
 
 def _logical(path: Path) -> Iterator[tuple[int, str]]:
-    """Lines that say something, with their numbers: without comments, continued where they end with a backslash."""
+    """Lines that say something, with their numbers: without comments, continued after a backslash."""
     data = file_bytes(path, "XPPAUT file", limit=1_000_000)
     try:
         rows = data.decode("utf-8-sig").splitlines()
@@ -361,12 +439,11 @@ def _logical(path: Path) -> Iterator[tuple[int, str]]:
         where, row = f"{path}: line {number}: {shortened(repr(row))}", row.lstrip()
         if row.lower().startswith("#include"):
             raise InputError(f"{where}: is not followed; write what is in that file in its place")
-        begun += "" if row.startswith('"') else row.partition("#")[0].strip()
+        row, continued, _ = ("" if row.startswith('"') else row.partition("#")[0].strip()).partition("\\")
+        begun += row
         if len(begun) > LONGEST:
             raise InputError(f"{where}: a line of {len(begun)} letters, at most {LONGEST} are read; write several")
-        if begun.endswith("\\") and number < len(rows):
-            begun = begun[:-1]
-        elif begun:
+        if begun and not (continued and number < len(rows)):
             yield first, " ".join(begun.split())
             begun = ""
 
@@ -437,7 +514,7 @@ def _entries(path: Path) -> Iterator[_Entry]:
             return
         if means in REFUSED:
             raise InputError(f"{where}: {REFUSED[means]}; see {PAGE}")
-        if match and text and (means != "start" or re.fullmatch(NUMBER, text)):
+        if match and text:
             yield _Entry(means, name, text, number, where)
         elif command and means in LEFT_OUT:
             name = rest.partition("=")[0].strip() if means == "aux" else rest if means != "unknown" else shortened(line)
@@ -448,7 +525,10 @@ def _entries(path: Path) -> Iterator[_Entry]:
             yield _Entry(means, table[1], table[2], number, where)
         elif command and means in ("parameters", "let", "start") and rest:
             for name, value in _values(rest, where):
-                yield _Entry(means, name, value, number, where)
+                begun = read[0] if (read := re.match(NUMBER, value)) else "0"
+                if value not in ("", begun):
+                    yield _Entry("read", f"{name}={value} as {begun}", begun, number, where)
+                yield _Entry(means, name, begun, number, where)
         else:
             if count == 0 and re.match(r"\d", line):
                 raise InputError(f"{where}: is of XPPAUT's old form; convert the file by xppaut -convert; see {PAGE}")
@@ -457,14 +537,12 @@ def _entries(path: Path) -> Iterator[_Entry]:
 
 
 def _values(text: str, where: str) -> Iterator[tuple[str, str]]:
-    """(name, number) of `a=1, b=2 c`, 0 where none is given. Raises `InputError`."""
-    for part in re.split(r" ?, ?| ", re.sub(r" ?= ?", "=", text)):
-        name, sign, number = part.partition("=")
-        if not part:
-            continue
-        if not re.fullmatch(NAME, name) or (sign and not re.fullmatch(NUMBER, number)):
+    """(name, value) of `a=1, b=2 c`, each without blanks. Raises `InputError`."""
+    for part in filter(None, re.split(r" ?, ?| ", re.sub(r" ?= ?", "=", text))):
+        name, _, value = part.partition("=")
+        if not re.fullmatch(rf"\d*{NAME}", name):
             raise InputError(f"{where}: {shortened(repr(part))} is no name=number; write a=1, b=2; see {PAGE}")
-        yield name, number or "0"
+        yield name, value
 
 
 def _bracketed(text: str) -> str:
