@@ -292,8 +292,27 @@ AUTO = """   1   1   9   1   2   1   3   4  5   1   1  11
   0 0 0
   1 2 3 4 5 6 7 8 9 10 6.28
 """
+LAW = '<math xmlns="http://www.w3.org/1998/Math/MathML"><apply><times/><ci>k</ci><ci>A</ci></apply></math>'
+SBML = (
+    f"""<sbml xmlns="http://www.sbml.org/sbml/level3/version2/core" level="3" version="2"><model id="m">
+<listOfCompartments><compartment id="c" size="1.5" constant="true"/></listOfCompartments><listOfSpecies>
+<species id="A" compartment="c" initialAmount="2" hasOnlySubstanceUnits="false" boundaryCondition="false"
+constant="false"/></listOfSpecies><listOfParameters><parameter id="k" value="3e-1" constant="true"/>
+<parameter id="q" value="1" constant="false"/></listOfParameters>
+<listOfInitialAssignments><initialAssignment symbol="q">{LAW}</initialAssignment></listOfInitialAssignments>
+<listOfRules><rateRule variable="q">{LAW}</rateRule></listOfRules>
+<listOfReactions><reaction id="r" reversible="false"><listOfReactants><speciesReference species="A" constant="true"
+stoichiometry="1"/></listOfReactants><kineticLaw>{LAW}</kineticLaw></reaction></listOfReactions></model></sbml>
+""",
+    f"""<sbml xmlns="http://www.sbml.org/sbml/level2/version4" level="2" version="4"><model id="m"><listOfCompartments>
+<compartment id="c" size="2"/></listOfCompartments><listOfSpecies><species id="A" compartment="c"
+initialConcentration="3"/></listOfSpecies><listOfReactions><reaction id="r"><listOfProducts><speciesReference
+species="A"/></listOfProducts><kineticLaw>{LAW}<listOfParameters><parameter id="k" value="0.5"/>
+</listOfParameters></kineticLaw></reaction></listOfReactions></model></sbml>
+""",
+)
 TEXTS = {"mtx": MARKETS, "ode": (ODE,), "xml": (URDF, MJCF), "stl": (STL,), "obj": (OBJ,), "dae": (DAE,),
-         "auto": (AUTO,)}  # fmt: skip
+         "auto": (AUTO,), "sbml": SBML}  # fmt: skip
 READERS = ("toml", "npz", *TEXTS)
 
 
@@ -394,7 +413,7 @@ def done(what, kind, given):
     from orbitfinder.problemfile.read import load_problem_file
 
     calls = {"toml": load_problem_file, "ode": of.from_xpp, "xml": of.robot, "auto": of.from_auto,
-             **dict.fromkeys(("stl", "obj", "dae"), shapes.read)}  # fmt: skip
+             "sbml": of.from_sbml, **dict.fromkeys(("stl", "obj", "dae"), shapes.read)}  # fmt: skip
     if what == "call":
         with of.limited(LIMIT):
             calls[kind](given)

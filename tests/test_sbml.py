@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.kind import build_model
+from orbitfinder.problemfile.sbml import translated
 
 pytestmark = pytest.mark.needs("sbml")
 NAMESPACE = "http://www.sbml.org/sbml/level3/version2/core"
@@ -84,7 +84,13 @@ def sbml(
 
 
 @pytest.fixture
-def read(tmp_path):
+def here(monkeypatch):
+    """libSBML in this process, which takes no second to begin."""
+    monkeypatch.setattr("orbitfinder.problemfile.sbml.alone", lambda *asked: translated(asked[2]))
+
+
+@pytest.fixture
+def read(tmp_path, here):
     """A model of a text."""
 
     def reading(text, **options):
@@ -233,6 +239,10 @@ EVENT = '<event id="hit" useValuesFromTriggerTime="true"><trigger initialValue="
 COMP = 'xmlns:comp="http://www.sbml.org/sbml/level3/version1/comp/version1" comp:required="true"'
 
 
+def assigned_to_itself():
+    return listed("InitialAssignments", [f'<initialAssignment symbol="k">{mathml("k + 1")}</initialAssignment>'])
+
+
 def with_law(law):
     return sbml({"A": start(1.0)}, {}, {"r": ({}, {"A": 1}, law)})
 
@@ -274,13 +284,18 @@ REFUSED = {
     "empty": (lambda: f'<sbml xmlns="{NAMESPACE}" level="3" version="2"/>', "no model in it"),
     "law": (lambda: replaced("</math>", "</maths>"), "no XML (mismatched tag"),
     "many": (lambda: sbml(parameters=dict.fromkeys((f"k{n}" for n in range(5001)), 1.0)), "at most 5000 of each"),
+    "dies": (lambda: replaced(f'xmlns="{NAMESPACE}" level="3"', f'xmlns="{NAMESPACE}" level="9999999999"'), "a.xml: "),
+    "code": (lambda: '<?xml version="1.0" encoding="true"?>' + model_with(), "no XML (unknown encoding"),
+    "itself": (lambda: replaced("<listOfReactions>", assigned_to_itself() + "<listOfReactions>"), "'k': needs itself"),
     "circle": (lambda: model_with(rules=rule("assignment", "k", "k + 1")), "is defined by itself"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_is_refused_is_named(name, tmp_path):
+def test_what_is_refused_is_named(name, tmp_path, request):
     make, why = REFUSED[name]
+    if name not in ("dies", "package"):
+        request.getfixturevalue("here")
     (tmp_path / "a.xml").write_text(make())
     made = command("simulate", tmp_path / "a.xml")
     assert made.exit_code == 2 and why in made.stderr.replace("\n", "") and "a.xml" in made.stderr, made.stderr
@@ -308,7 +323,7 @@ def test_level_two(read):
 
 
 def test_without_libsbml(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "libsbml", None)
+    monkeypatch.setattr("orbitfinder.problemfile.sbml.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'orbitfinder\[sbml\]'"):
         of.from_sbml(tmp_path / "a.xml")
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache, reduce
+from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,15 +19,17 @@ from xml.parsers import expat
 
 import numpy as np
 
-from orbitfinder.errors import InputError, shortened
+from orbitfinder._runtime.processes import alone
+from orbitfinder.errors import InputError, LimitError, shortened
 from orbitfinder.mechanics.equations import RESERVED
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, altered, vector_field
 from orbitfinder.mechanics.scales import with_units
 from orbitfinder.records.reading import Entries, file_bytes
 
-PAGE, LARGEST, DEEPEST, MOST = "docs/how-to/sbml.md", 20_000_000, 200, 5_000
-"""The page; bytes of a file, how deeply its elements may be nested, and its species, parameters and reactions"""
+PAGE, LARGEST, DEEPEST, MOST, SECONDS, MEMORY = "docs/how-to/sbml.md", 20_000_000, 200, 5_000, 30.0, 4_000_000_000
+"""The page; bytes of a file, how deeply its elements may be nested, its species, parameters and reactions; what libSBML
+gets to read it: s, bytes"""
 OPERATORS = {
     "PLUS": ("+", 4, "0"), "TIMES": ("*", 5, "1"), "MINUS": ("-", 4, ""), "DIVIDE": ("/", 5, ""), "POWER": ("^", 7, ""),
     "FUNCTION_POWER": ("^", 7, ""), "LOGICAL_AND": (" and ", 1, "True"), "LOGICAL_OR": (" or ", 0, "False"),
@@ -83,31 +86,48 @@ def sbml_document(path: Path, period: str | float | None = None, time: float | N
     """The problem file that an SBML file stands for: its equations, and where its simulation starts."""
     if period is not None and time is not None:
         raise InputError("time: what is taken at a time has no period; leave period out")
-    reading = _Reading(path, _read(path), time)
-    system = reading.system()
-    system |= {} if period is None else {"period": period}
+    if find_spec("libsbml") is None:
+        raise InputError("file: SBML files need the extra: pip install 'orbitfinder[sbml]'")
+    _check_nesting(path, file_bytes(path, "SBML file", limit=LARGEST))
+    made = alone(__name__, "translated", [str(path.resolve()), str(path), time], SECONDS, MEMORY)
+    if made is None:
+        raise InputError(f"{path}: libSBML ends, or does not read it within {SECONDS:g} s and {MEMORY / 1e9:g} GB; "
+                         "correct the file")  # fmt: skip
+    if "refused" in made:
+        raise InputError(made["refused"])
+    system = made["system"] | ({} if period is None else {"period": period})
     try:
         build_model(system)
     except InputError as error:
         at_a_time = " or, to take it at a time, time = 0" if "depends on the time" in str(error) else ""
         raise InputError(f"{path}: {error}{at_a_time}; see {PAGE}") from error
-    units = {"units": reading.units} if reading.units else {}
-    return {"system": system, **units, "simulate": {"state": reading.state}}
+    units = {"units": made["units"]} if made["units"] else {}
+    return {"system": system, **units, "simulate": {"state": made["state"]}}
 
 
-def _read(path: Path) -> Any:
-    """libSBML's model, the parameters of its reactions among the others. Raises `InputError`."""
+def translated(asked: Sequence[Any]) -> Entries:
+    """What a file, [where it lies, its name, a time], says; or why nothing is made of it, `refused`. For `alone`, since
+    libSBML ends the process on some damaged files."""
+    source, name, time = asked
     try:
-        import libsbml  # noqa: PLC0415
-    except ImportError as error:
-        raise InputError("file: SBML files need the extra: pip install 'orbitfinder[sbml]'") from error
-    data = file_bytes(path, "SBML file", limit=LARGEST)
-    _check_nesting(path, data)
-    document = libsbml.readSBMLFromString(data.decode("utf-8", "replace"))
+        reading = _Reading(Path(name), _read(Path(source), Path(name)), time)
+        return {"system": reading.system(), "units": reading.units, "state": reading.state}
+    except LimitError:
+        raise
+    except InputError as error:
+        return {"refused": str(error)}
+
+
+def _read(source: Path, path: Path) -> Any:
+    """libSBML's model, the parameters of its reactions among the others. Raises `InputError`, which names `path`."""
+    import libsbml  # noqa: PLC0415
+
+    document = libsbml.readSBMLFromString(source.read_bytes().decode("utf-8", "replace"))
     for k in range(document.getNumErrors()):
         fault = document.getError(k)
         if fault.getSeverity() >= libsbml.LIBSBML_SEV_ERROR:
-            raise InputError(f"{path}: line {fault.getLine()}: {shortened(' '.join(fault.getMessage().split()), 200)}")
+            said = shortened(" ".join(fault.getMessage().split()), 200)
+            raise InputError(f"{path}: line {fault.getLine()}: {said}; correct the file")
     model = document.getModel()
     if model is None:
         raise InputError(f"{path}: no model in it; give an SBML file of Level 2 or 3")
@@ -150,7 +170,7 @@ def _check_nesting(path: Path, data: bytes) -> None:
     parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = begin, end, refused
     try:
         parser.Parse(data, True)
-    except (expat.ExpatError, ValueError) as error:
+    except (expat.ExpatError, LookupError, ValueError) as error:
         raise InputError(f"{path}: no XML ({error}); give an SBML file") from error
 
 
@@ -234,9 +254,9 @@ class _Reading:
                            .full().ravel().tolist(), strict=True))  # fmt: skip
             found = self._values({key: new.get(key, values[key]) for key in self.sizes}) | new
             if np.array_equal(list(values.values()), [found[key] for key in values], equal_nan=True):
-                break
+                return values
             values = found
-        return values
+        raise self.fault(f"initialAssignment {next(iter(self.assigned))!r}", "needs itself; break the circle")
 
     def _check(self) -> None:
         """`InputError` for what no equations here stand for."""
