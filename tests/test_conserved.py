@@ -2,6 +2,7 @@
 recorded; and where a simulation comes to rest, wherever 0 lies."""
 
 import json
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -13,6 +14,7 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.rest_certificate import verified
+from orbitfinder.families.verified import verified as verified_family
 from orbitfinder.mechanics.kind import build_model
 
 SIRS = {"S": "-beta*S*J + w*R", "J": "beta*S*J - g*J", "R": "g*J - w*R"}
@@ -266,3 +268,19 @@ def test_a_simulation_to_rest_keeps_the_totals(seed):
         x = point.state
         assert [x[:2].sum(), x[2:5].sum(), x[5:].sum()] == pytest.approx([100.0, 300.0, 300.0], rel=1e-12)
         assert point.certified and (x > 0).all()
+
+
+@pytest.mark.slow  # a family between two Hopf points, and its verification
+def test_a_family_of_a_closed_system_ends_at_its_hopf_point():
+    """The linear oscillation has the totals of the orbits; with those of the middle of their extents its period is off
+    by 4.5e-4."""
+    rates = {"F": "v - F*T*(r + D^2)", "T": "D - F*T*(r + D^2)", "D": "F*T*(r + D^2) - D"}
+    rest = of.follow_equilibria(of.equations(rates, {"v": 0.05, "r": 0.02}), [1.0, 1.6, 0.4], "v", until=1.0)
+    family = of.follow_family(of.switch_branch(rest, 0))
+    end = family.ends[-1]
+    assert end.kind == "hopf" and end.parameter == pytest.approx(rest.events[1].parameter, rel=1e-9)
+    model = build_model(family.system)
+    assert all(check.passed for _, check in verified_family(family, model))
+    wrong = replace(end, period=end.period * (1 + 1e-5))
+    said = dict(verified_family(replace(family, ends=(*family.ends[:-1], wrong)), model))
+    assert not said[f"end {len(family.ends) - 1}"].passed

@@ -413,7 +413,7 @@ def test_a_diagram_of_a_file_in_one_command(name, tmp_path):
     (tmp_path / f"{name}.xml").write_text(of_cell(name))
     made = command("diagram", tmp_path / f"{name}.xml", "--parameter", parameter, "--until", until, "-o", tmp_path)
     assert made.exit_code == 0, made.output
-    curve = of.load_equilibria(tmp_path / name / "equilibria.json")
+    curve = of.load_equilibria(tmp_path / name / "equilibria" / "equilibria.json")
     assert len([event for event in curve.events if event.kind == "hopf"]) == count
     families = sorted(tmp_path.glob(f"{name}/**/family.json"))
     assert families

@@ -48,6 +48,7 @@ from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import by_series, curve_in
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.field import vector_field
+from orbitfinder.integrate.jets import at_rest
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.condensed import Jacobian
 from orbitfinder.loops.continued import (
@@ -581,7 +582,17 @@ def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
         y[equations.coordinates.size :] = 0.0
     linearised = _linearised(equations)
     rest = equilibrium(linearised, y, max(1.0, float(np.abs(y).max())))
-    turning = np.abs(np.linalg.eigvals(linearised(rest.w)[1]).imag)
+    slopes = linearised(rest.w)[1]
+    if model.rates is not None and model.invariants:  # those that change there keep the values of the orbit
+        jets = at_rest(model, (), rest.w)
+        kept, z = jets.kept_at(states[0]), np.append(rest.w, np.zeros(jets.extra))
+
+        def held(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            whole = jets.first(z, np.zeros(0), kept)
+            return whole[0], whole[1:].T
+
+        slopes = held(equilibrium(held, z, max(1.0, float(np.abs(y).max()))).w)[1][: y.size, : y.size]
+    turning = np.abs(np.linalg.eigvals(slopes).imag)
     # an orbit beside an equilibrium has the period of its linear oscillation to this share
     wanted, allowed = (period, 1e-6) if period is not None else (at.period, 1e-2)
     off = float(np.abs(turning * wanted / (2 * np.pi) - 1.0).min())
