@@ -40,10 +40,13 @@ def read(path: Path) -> tuple[Model | None, str]:
         return of.from_xpp(path), "read"
     except InputError as error:
         said = str(error)
-    if "time = 0" not in said:
-        told = re.sub(r"^.*?\.ode: (line \d+: (?:'.*?'|\".*?\"|.*?\.\.\.): )?", "", said)
-        return None, re.sub(r"^\S+ is a parameter", "a parameter", told).partition(";")[0][:70]
-    return of.from_xpp(path, time=0.0), "time"
+    if "time = " in said:
+        try:
+            return of.from_xpp(path, time=0.0), "time"
+        except InputError as error:
+            said = str(error)
+    told = re.sub(r"^.*?\.ode: (line \d+: (?:'.*?'|\".*?\"|.*?\.\.\.): )?", "", said)
+    return None, re.sub(r"^\S+ is a parameter", "a parameter", told).partition(";")[0][:70]
 
 
 def stepped(path: Path, size: int, step: float) -> tuple[np.ndarray, np.ndarray] | None:
