@@ -387,7 +387,8 @@ def spectrum(problem: AtRest, w: Stacked, tangent: np.ndarray | None = None) -> 
         basis = right[np.count_nonzero(values > 1e-9 * values.max(initial=0.0)) :]
 
     def slopes(w: Stacked) -> np.ndarray:
-        return np.asarray(basis @ problem.scaled(*problem.parts(w)[:2])[1][:d, :d] @ basis.T)
+        with np.errstate(invalid="ignore"):  # beside the edge of where the equations are defined
+            return np.asarray(basis @ problem.scaled(*problem.parts(w)[:2])[1][:d, :d] @ basis.T)
 
     a, change = slopes(w), np.zeros(len(basis))
     values, left, right = decomposed(a)
@@ -402,8 +403,9 @@ def spectrum(problem: AtRest, w: Stacked, tangent: np.ndarray | None = None) -> 
     missed = np.abs(felt(left, a, right) - values)
     errors = felt(abs(left), unsure, abs(right)) + np.where(np.abs(left).max(axis=1) < 1 / SIMPLE, missed, 0.0)
     if tangent is not None:
-        before, after = (slopes(w.moved(side * BESIDE * tangent)) for side in (-1.0, 1.0))
-        change = felt(left, (after - before) / (2 * BESIDE), right)
+        sides = [(length, slopes(w.moved(length * tangent))) for length in (-BESIDE, BESIDE)]
+        (low, before), (high, after) = (side if np.isfinite(side[1]).all() else (0.0, a) for side in sides)
+        change = felt(left, (after - before) / nonzero(high - low), right)
     return Roots(values * problem.pace, change * problem.pace, basis.T @ right, errors * problem.pace)
 
 
