@@ -215,7 +215,8 @@ def test_a_doubling_that_comes_back_to_its_parent():
         assert abs(value - other) < error < 1e-10  # the second was said to be known to 4e-7
     doublings = {round(event.parameter, 8): event for event in doubled.record.events if event.kind == "period_doubling"}
     assert sorted(doublings) == [7.84648143, 7.85572281, 7.90680388, 7.91777365]
-    assert max(abs(event.check.value) for event in doublings.values()) < 1e-6
+    # 1 + multiplier is 0 to its own error bar, of 7e-5 at the first (without AVX-512 it is 3e-6 there)
+    assert all(abs(event.check.value) <= event.check.error < 0.01 for event in doublings.values())
     near = doublings[7.85572281]  # 6e-10 beside the second fold, was denied: "0.57 where 0.92 is known"
     assert abs(near.parameter - 7.8557228080) < 1e-10 > near.error and near.check.error < 0.01
 
