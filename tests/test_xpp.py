@@ -225,6 +225,9 @@ def test_a_start_may_be_a_formula(read):
     model = read(text)
     assert model.landmarks["init"] == (2.0, 11.0, 0.0, 1.0) and "start y(0)=ran(1)" in model.system["left_out"]
     assert read("par a=3\nx'=y\ny'=x\nx(0)=log(-a)\ny(0)=a\n").landmarks["init"] == (0.0, 3.0)
+    assert read("par a=3\nx'=y\ny'=x\nx(0)=q\ny(0)=a\n").landmarks["init"] == (0.0, 3.0)  # q is nothing
+    many = read("x[1..400]'=-x[j]\nx[1..400](0)=ran(1)\nx7(0)=2\n")  # takes no model for each
+    assert set(many.landmarks["init"]) == {0.0, 2.0} and len(many.system["left_out"]) == 399
 
 
 def test_parameters_at_a_time_are_those_that_events_have_left(tmp_path):

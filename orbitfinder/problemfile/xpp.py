@@ -49,9 +49,9 @@ REFUSED, STRANGE = (
      **dict.fromkeys(("besselj", "bessely", "besseli", "hom_bcs"), "is not known here; write it out")},
 )  # fmt: skip
 """Lines, and functions of XPPAUT's, that make no ordinary differential equation here, and why"""
-LONGEST, MOST_LINES, MOST_ROWS, ROWS = 20_000, 5_000, 1000, 50
+LONGEST, MOST_LINES, MOST_ROWS, ROWS, ALONE = 20_000, 5_000, 1000, 50, 20
 """Letters of a line with those that it goes on in; lines with those that arrays stand for; rows of a table, and of each
-text that it is written in"""
+text that it is written in; formulas of starts that are tried by themselves"""
 PRIORITIES, OWN = (
     {**dict.fromkeys(("+", "-", "|", "||"), 4), **dict.fromkeys(("*", "/", "&", "&&"), 6),
      **dict.fromkeys(("^", "**", ">", "<", "==", ">=", "<=", "!="), 7)},
@@ -189,7 +189,11 @@ def _started(
     number = {word: float(entry.text) for word, entry in starts.items() if re.fullmatch(NUMBER, entry.text)}
     state = [number.get(entry.word, 0.0) for entry in rates]
     formulas = [k for k, entry in enumerate(rates) if entry.word in starts.keys() - number.keys()]
-    for tried in (formulas, *([k] for k in formulas)):  # each by itself where not all can be read
+    readable = list[int]()
+    for k in formulas:
+        with suppress(InputError):
+            readable += [k] if reading.text(starts[rates[k].word]) else []
+    for tried in (readable, *([k] for k in readable[:ALONE])):  # some by themselves where not all are defined
         with suppress(InputError):
             values = reading.values({rates[k].word: starts[rates[k].word].text for k in tried}, state)
             formulas = [k for k in formulas if k not in tried or not math.isfinite(values[k])]
