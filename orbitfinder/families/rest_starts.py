@@ -102,7 +102,7 @@ def _apart(problem: AtRest, z: np.ndarray, other: np.ndarray) -> np.ndarray:
 def _rested(model: Model, state: np.ndarray) -> np.ndarray:
     """Where a motion has come to rest by steps of BDF, with 0 for what is 0 to its tolerance; the state itself where it
     cannot be integrated or becomes faster. Its steps grow without bound at rest and leave the first integrals behind
-    (their Jacobian is of differences), so that they end where one moves it by far less than the tolerance."""
+    (their Jacobian is of differences), so that they end where a step moves it by far less than the tolerance."""
     values, least = model.parameter_values, 1e-9 * state_sizes(model, np.abs(state))
     with np.errstate(all="ignore"), contextlib.suppress(ValueError, ArithmeticError):
         path = BDF(lambda _, x: model.rate(0.0, x, values).full().ravel(), 0.0, state, np.inf, rtol=1e-6, atol=least)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import runpy
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -132,16 +132,11 @@ def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
     source = Path(path)
     if source.suffix == ".py":
         return _load_python(source, trust)
-    document = READERS.get(source.suffix, read_toml)(source)
+    others = {".ode": xpp_document, ".xml": sbml_document, ".sbml": sbml_document}
+    document = others.get(source.suffix, read_toml)(source)
     table = parse(document, str(source))
     with _located(source):
         return _build(source, document, table, trust)
-
-
-READERS: dict[str, Callable[[Path], Entries]] = {
-    ".ode": xpp_document, ".xml": sbml_document, ".sbml": sbml_document,
-}  # fmt: skip
-"""Files of other programs that stand for a problem file, by how they end"""
 
 
 def read_toml(source: Path) -> Entries:

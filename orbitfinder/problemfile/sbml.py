@@ -30,28 +30,26 @@ from orbitfinder.records.reading import Entries, file_bytes
 PAGE, LARGEST, DEEPEST, MOST, SECONDS, MEMORY = "docs/how-to/sbml.md", 20_000_000, 200, 5_000, 30.0, 4_000_000_000
 """The page; bytes of a file, how deeply its elements may be nested, its species, parameters and reactions; what libSBML
 gets to read it: s, bytes"""
-OPERATORS = {
-    "PLUS": ("+", 4, "0"), "TIMES": ("*", 5, "1"), "MINUS": ("-", 4, ""), "DIVIDE": ("/", 5, ""), "POWER": ("^", 7, ""),
-    "FUNCTION_POWER": ("^", 7, ""), "LOGICAL_AND": (" and ", 1, "True"), "LOGICAL_OR": (" or ", 0, "False"),
-    "RELATIONAL_EQ": (" == ", 3, ""), "RELATIONAL_NEQ": (" != ", 3, ""), "RELATIONAL_LT": (" < ", 3, ""),
-    "RELATIONAL_LEQ": (" <= ", 3, ""), "RELATIONAL_GT": (" > ", 3, ""), "RELATIONAL_GEQ": (" >= ", 3, ""),
-}  # fmt: skip
-"""MathML's operators: the sign, how tightly it binds, and its value of nothing"""
-FUNCTIONS = {
-    **{name: f"{name.lower()}({{0}})" for name in ("ABS", "SIN", "COS", "TAN", "SINH", "COSH", "TANH", "EXP", "FLOOR")},
-    "ARCSIN": "asin({0})", "ARCCOS": "acos({0})", "ARCTAN": "atan({0})", "LN": "log({0})", "CEILING": "-floor(-({0}))",
-    "LOG": "log({1})/log({0})", "ROOT": "({1})^(1/({0}))", "SEC": "1/cos({0})", "CSC": "1/sin({0})",
-    "COT": "1/tan({0})", "SECH": "1/cosh({0})", "CSCH": "1/sinh({0})", "COTH": "1/tanh({0})",
-    "ARCSINH": "log({0} + sqrt(({0})^2 + 1))", "ARCCOSH": "log({0} + sqrt(({0})^2 - 1))",
-    "ARCTANH": "log((1 + ({0}))/(1 - ({0})))/2",
-}  # fmt: skip
-"""MathML's functions in ours; of a logarithm and a root the first argument is the base or degree"""
-
-SYMBOLS = {("second", 60.0): "min", ("second", 3600.0): "h", ("second", 86400.0): "d", ("dimensionless", 1.0): "",
-           **{(name, 1.0): word for name, word in (("second", "s"), ("mole", "mol"), ("litre", "L"), ("metre", "m"),
-              ("gram", "g"), ("kilogram", "kg"), ("volt", "V"), ("ampere", "A"), ("item", "items"))}}  # fmt: skip
-PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k"}
-"""Units of SBML with their multipliers, and powers of ten, as words"""
+OPERATORS, FUNCTIONS, SYMBOLS, PREFIXES = (
+    {"PLUS": ("+", 4, "0"), "TIMES": ("*", 5, "1"), "MINUS": ("-", 4, ""), "DIVIDE": ("/", 5, ""),
+     "POWER": ("^", 7, ""), "FUNCTION_POWER": ("^", 7, ""), "LOGICAL_AND": (" and ", 1, "(1 > 0)"),
+     "LOGICAL_OR": (" or ", 0, "(1 < 0)"), "RELATIONAL_EQ": (" == ", 3, ""), "RELATIONAL_NEQ": (" != ", 3, ""),
+     "RELATIONAL_LT": (" < ", 3, ""), "RELATIONAL_LEQ": (" <= ", 3, ""), "RELATIONAL_GT": (" > ", 3, ""),
+     "RELATIONAL_GEQ": (" >= ", 3, "")},
+    {**{name.upper(): f"{name}({{0}})" for name in
+        ("abs", "sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "floor")},
+     "ARCSIN": "asin({0})", "ARCCOS": "acos({0})", "ARCTAN": "atan({0})", "LN": "log({0})",
+     "CEILING": "-floor(-({0}))", "LOG": "log({1})/log({0})", "ROOT": "({1})^(1/({0}))", "SEC": "1/cos({0})",
+     "CSC": "1/sin({0})", "COT": "1/tan({0})", "SECH": "1/cosh({0})", "CSCH": "1/sinh({0})", "COTH": "1/tanh({0})",
+     "ARCSINH": "log({0} + sqrt(({0})^2 + 1))", "ARCCOSH": "log({0} + sqrt(({0})^2 - 1))",
+     "ARCTANH": "log((1 + ({0}))/(1 - ({0})))/2"},
+    {("second", 60.0): "min", ("second", 3600.0): "h", ("second", 86400.0): "d", ("dimensionless", 1.0): "",
+     **{(name, 1.0): word for name, word in (("second", "s"), ("mole", "mol"), ("litre", "L"), ("metre", "m"),
+        ("gram", "g"), ("kilogram", "kg"), ("volt", "V"), ("ampere", "A"), ("item", "items"))}},
+    {-15: "f", -12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k"},
+)  # fmt: skip
+"""MathML's operators: the sign, how tightly it binds, and its value of nothing; its functions in ours (the base of a
+logarithm and the degree of a root come first); units with their multipliers, and powers of ten, as words"""
 
 
 def from_sbml(path: str | Path, period: str | float | None = None, time: float | None = None) -> Model:
@@ -60,7 +58,7 @@ def from_sbml(path: str | Path, period: str | float | None = None, time: float |
     n' = sum_r (s_r v_r), of the amount n of a species in the reactions r with stoichiometries s and rates v; where a
     species is meant by its concentration, its state is n / V. Read are kinetic laws, function definitions, rate and
     assignment rules, initial assignments, compartments of constant size, species at a boundary and conversion factors.
-    Symbols keep their ids. Totals are found (`find_invariants`). Commands take FILE.xml in place of a problem file.
+    Symbols keep their ids. Totals are looked for. Commands take FILE.xml in place of a problem file.
 
     Args:
         path: FILE.xml of Level 2 or 3.
@@ -110,7 +108,7 @@ def translated(asked: Sequence[Any]) -> Entries:
     libSBML ends the process on some damaged files."""
     source, name, time = asked
     try:
-        reading = _Reading(Path(name), _read(Path(source), Path(name)), time)
+        reading = _Components(Path(name), _read(Path(source), Path(name)), time)
         return {"system": reading.system(), "units": reading.units, "state": reading.state}
     except LimitError:
         raise
@@ -174,7 +172,7 @@ def _check_nesting(path: Path, data: bytes) -> None:
         raise InputError(f"{path}: no XML ({error}); give an SBML file") from error
 
 
-class _Reading:
+class _Components:
     """A model's components on their way into our text."""
 
     def __init__(self, path: Path, model: Any, time: float | None) -> None:
@@ -220,7 +218,7 @@ class _Reading:
         for key, value in values.items():
             name = self._name(key)
             if name not in made["let"] and not math.isfinite(value):
-                raise self.fault(repr(key), "has no value; give it one")
+                raise self.fault(repr(key), "has no value; give it")
             if name in made["parameters"]:
                 made["parameters"][name] = value
         self.state = [values[key] for name in made["rates"] for key in values if self._name(key) == name]
@@ -252,10 +250,10 @@ class _Reading:
             given = [values[names[name]] for name in model.parameter_names]
             new = dict(zip(self.assigned, vector_field(model, model.parameter_names)(0.0, [0.0] * len(texts), [], given)
                            .full().ravel().tolist(), strict=True))  # fmt: skip
-            found = self._values({key: new.get(key, values[key]) for key in self.sizes}) | new
-            if np.array_equal(list(values.values()), [found[key] for key in values], equal_nan=True):
+            begun = self._values({key: new.get(key, values[key]) for key in self.sizes}) | new
+            if np.array_equal(list(values.values()), [begun[key] for key in values], equal_nan=True):
                 return values
-            values = found
+            values = begun
         raise self.fault(f"initialAssignment {next(iter(self.assigned))!r}", "needs itself; break the circle")
 
     def _check(self) -> None:
@@ -273,7 +271,7 @@ class _Reading:
                     f"compartment {key!r}", "changes its size; give it a rate, and reactions to what is in it"
                 )
             if each.isSetSize() and each.getSize() <= 0:
-                raise self.fault(f"compartment {key!r}", f"has the size {each.getSize():g}; give a positive one")
+                raise self.fault(f"compartment {key!r}", f"has the size {each.getSize():g}; give a positive size")
 
     def _name(self, key: str) -> str:
         """What a component is called here: its id, but for what is taken."""
@@ -347,21 +345,21 @@ class _Reading:
     def text(self, node: Any, where: str) -> str:
         """A formula of MathML as our expressions are written. Raises `InputError`."""
         if node is None:
-            raise self.fault(where, "has no formula; give one")
+            raise self.fault(where, "has no formula; write it")
         return self._printed(node, where)[0]
 
     def _printed(self, node: Any, where: str) -> tuple[str, int]:
         """Its text and how tightly its outermost operator binds."""
-        kind = _kinds()[node.getType()]
+        means = _kinds()[node.getType()]
         inside = [node.getChild(k) for k in range(node.getNumChildren())]
-        if kind in ("INTEGER", "REAL", "REAL_E", "RATIONAL"):
-            if kind == "RATIONAL":
+        if means in ("INTEGER", "REAL", "REAL_E", "RATIONAL"):
+            if means == "RATIONAL":
                 return f"{node.getNumerator()}/{node.getDenominator()}", 5
-            value = float(node.getInteger() if kind == "INTEGER" else node.getReal())
+            value = float(node.getInteger() if means == "INTEGER" else node.getReal())
             if not math.isfinite(value):
-                raise self.fault(where, f"the number {value}; give a finite one")
+                raise self.fault(where, f"the number {value}; give a finite number")
             return (f"{value:.17g}", 8) if value >= 0 else (f"{value:.17g}", 4)
-        if kind in (
+        if means in (
             "NAME",
             "NAME_TIME",
             "NAME_AVOGADRO",
@@ -370,41 +368,41 @@ class _Reading:
             "CONSTANT_TRUE",
             "CONSTANT_FALSE",
         ):
-            return self._named(kind, node), 8
+            return self._named(means, node), 8
         parts = [self._printed(each, where) for each in inside]
-        if kind == "FUNCTION":
+        if means == "FUNCTION":
             name = self._name(node.getName())
             return f"{name}({', '.join(text for text, _ in parts)})" if parts else name, 8
-        if kind == "FUNCTION_PIECEWISE":
+        if means == "FUNCTION_PIECEWISE":
             return self._piecewise(parts, where), 8
-        if kind == "LOGICAL_NOT" and len(parts) == 1:
+        if means == "LOGICAL_NOT" and len(parts) == 1:
             return f"not ({parts[0][0]})", 2
-        if kind in ("FUNCTION_MAX", "FUNCTION_MIN") and parts:
-            word = kind.removeprefix("FUNCTION_").lower()
+        if means in ("FUNCTION_MAX", "FUNCTION_MIN") and parts:
+            word = means.removeprefix("FUNCTION_").lower()
             return reduce(lambda done, each: f"{word}({done}, {each})", [text for text, _ in parts]), 8
-        if kind == "LOGICAL_XOR" and parts:
+        if means == "LOGICAL_XOR" and parts:
             return reduce(lambda done, each: f"(({done}) != ({each}))", [text for text, _ in parts]), 8
-        if kind in OPERATORS:
-            return self._joined(kind, parts, where)
-        pattern = FUNCTIONS.get(kind.removeprefix("FUNCTION_"), "")
+        if means in OPERATORS:
+            return self._joined(means, parts, where)
+        pattern = FUNCTIONS.get(means.removeprefix("FUNCTION_"), "")
         if pattern and len(parts) == 1 + pattern.count("{1}"):
             return pattern.format(*(text for text, _ in parts)), 8 if pattern[0].isalpha() and "/" not in pattern else 4
-        name = node.getName() or kind.removeprefix("FUNCTION_").lower()
+        name = node.getName() or means.removeprefix("FUNCTION_").lower()
         raise self.fault(where, f"{shortened(name)!r} with {len(parts)} arguments is not read; write it out")
 
-    def _named(self, kind: str, node: Any) -> str:
-        if kind == "NAME_TIME":
+    def _named(self, means: str, node: Any) -> str:
+        if means == "NAME_TIME":
             return "t" if self.time is None else f"({self.time!r})"
         constants = {"NAME_AVOGADRO": repr(node.getReal()), "CONSTANT_PI": "pi", "CONSTANT_E": "exp(1)",
                      "CONSTANT_TRUE": "(1 > 0)", "CONSTANT_FALSE": "(1 < 0)"}  # fmt: skip
-        return constants.get(kind) or self._name(node.getName())
+        return constants.get(means) or self._name(node.getName())
 
-    def _joined(self, kind: str, parts: list[tuple[str, int]], where: str) -> tuple[str, int]:
+    def _joined(self, means: str, parts: list[tuple[str, int]], where: str) -> tuple[str, int]:
         """Operands with their sign between them, in brackets where they bind less tightly."""
-        sign, level, empty = OPERATORS[kind]
+        sign, level, empty = OPERATORS[means]
         if not parts and empty:
             return empty, 8
-        if kind == "MINUS" and len(parts) == 1:
+        if means == "MINUS" and len(parts) == 1:
             return f"-{_closed(parts[0], 5)}", 4
         if len(parts) == 1 and empty:
             return parts[0]
