@@ -27,7 +27,7 @@ from orbitfinder._runtime.inert import inert
 from orbitfinder.cli.group import cli
 from orbitfinder.control.controller import load_controller
 from orbitfinder.control.export import c_text, gains_text, python_text
-from orbitfinder.errors import InputError, LimitError
+from orbitfinder.errors import Hint, InputError, LimitError
 from orbitfinder.exports.auto import constants, equations
 from orbitfinder.exports.c99 import c_files
 from orbitfinder.exports.feedforward import control_files
@@ -398,9 +398,9 @@ def test_long_numbers_take_no_long_time(text, tmp_path):
     """`par a=` and 20,000 digits took 50 s, in which no limit could stop it."""
     (tmp_path / "a.ode").write_text(f"par a={text}\nx'=-a*x\n")
     began = time.process_time()
-    with pytest.raises(InputError):
+    with pytest.raises((InputError, Hint)) as error:  # XPPAUT reads .5 of .5.5.5
         from_xpp(tmp_path / "a.ode")
-    assert time.process_time() - began < 0.5
+    assert time.process_time() - began < 0.5 and len(str(error.value)) < 500
 
 
 # ------------------------------------------------------------------------------------- environment, proofs, records

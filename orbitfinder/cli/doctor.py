@@ -30,6 +30,7 @@ OK, NOTE, MISSING, BROKEN = "ok", "note", "missing", "BROKEN"
 EXTRAS = {
     "mp4": "animate -o FILE.mp4", "proof": "prove and refine", "cluster": "search --scheduler (Dask)",
     "parquet": "atlas export --to parquet", "robot": "URDF and MJCF files, SymPy's systems",
+    "sbml": "SBML files",
     "studio": "studio: mechanisms dragged to orbits",
     "notebook": "orbit.widget(), the notebooks", "docs": "building the documentation",
     "browser": "tests of pages in a browser", "test": "the tests",

@@ -72,6 +72,20 @@ def from_sbml(path: str | Path, period: str | float | None = None, time: float |
         InputError: naming the file and the id, for events, delays, algebraic rules, fast reactions, compartments that
             change, packages that must be understood, values that are missing, and files that libSBML cannot read.
 
+    Examples:
+        >>> from pathlib import Path
+        >>> _ = Path("decay.xml").write_text('''
+        ... <sbml xmlns="http://www.sbml.org/sbml/level2/version4" level="2" version="4"><model id="decay">
+        ...   <listOfCompartments><compartment id="cell" size="2"/></listOfCompartments>
+        ...   <listOfSpecies><species id="A" compartment="cell" initialAmount="3"/></listOfSpecies>
+        ...   <listOfReactions><reaction id="r"><listOfReactants><speciesReference species="A"/></listOfReactants>
+        ...     <kineticLaw><math xmlns="http://www.w3.org/1998/Math/MathML"><ci>A</ci></math></kineticLaw>
+        ...   </reaction></listOfReactions></model></sbml>
+        ... '''.strip())
+        >>> model = of.from_sbml("decay.xml")
+        >>> model.landmarks["init"], model.system["rates"]
+        ((1.5,), {'A': '(-r)/cell'})
+
     See Also:
         `of.from_xpp` for XPPAUT's files, `of.equations` for what they become.
     """

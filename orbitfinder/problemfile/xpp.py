@@ -531,7 +531,7 @@ def _entries(path: Path) -> Iterator[_Entry]:
             for name, value in _values(rest, where):
                 begun = read[0] if (read := re.match(NUMBER, value)) else "0"
                 if value not in ("", begun):
-                    yield _Entry("read", f"{name}={value} as {begun}", begun, number, where)
+                    yield _Entry("read", f"{name}={shortened(value)} as {begun}", begun, number, where)
                 yield _Entry(means, name, begun, number, where)
         else:
             if count == 0 and re.match(r"\d", line):
