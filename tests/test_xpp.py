@@ -240,9 +240,17 @@ def test_parameters_at_a_time_are_those_that_events_have_left(tmp_path):
         model = of.from_xpp(tmp_path / "a.ode", time=time)
         assert dict(zip(model.parameter_names, model.parameter_values, strict=True))["a"] == value and model.smooth
     assert "global 1 t-5 {a=2*k}" in model.system["left_out"]
-    for line in ("global 1 {x+t-5} {a=2}", "global 1 sin(t) {a=2}"):
+    (tmp_path / "a.ode").write_text("par a=1\nx'=a-x\nglobal 1 t-3 {a=a*10}\nglobal 1 t-2 {a=a+1}\n")
+    model = of.from_xpp(tmp_path / "a.ode", time=4.0)  # each takes what the events before it left
+    assert model.parameter_values.tolist() == [20.0]
+    for line, why in (
+        ("global 1 {x+t-5} {a=2}", "no time at which it happens"),
+        ("global 1 sin(t) {a=2}", "no time at which it happens"),
+        ("global 1 t-a {a=3}", "no time at which it happens"),
+        ("global 1 t-5 {a=2*x}", "gives a parameter a value of the state then"),
+    ):
         (tmp_path / "a.ode").write_text(f"par a=1\nx'=a-x\n{line}\n")
-        with pytest.raises(InputError, match=r"line 3: .*no time at which it happens"):
+        with pytest.raises(InputError, match=f"line 3: .*{why}"):
             of.from_xpp(tmp_path / "a.ode", time=6.0)
 
 

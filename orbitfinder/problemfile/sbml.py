@@ -20,7 +20,7 @@ from xml.parsers import expat
 import numpy as np
 
 from orbitfinder._runtime.processes import alone
-from orbitfinder.errors import InputError, LimitError, shortened
+from orbitfinder.errors import InputError, shortened
 from orbitfinder.mechanics.equations import RESERVED
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, altered, vector_field
@@ -124,8 +124,6 @@ def translated(asked: Sequence[Any]) -> Entries:
     try:
         reading = _Components(Path(name), _read(Path(source), Path(name)), time)
         return {"system": reading.system(), "units": reading.units, "state": reading.state}
-    except LimitError:
-        raise
     except InputError as error:
         return {"refused": str(error)}
 
@@ -373,16 +371,11 @@ class _Components:
             if not math.isfinite(value):
                 raise self.fault(where, f"the number {value}; give a finite number")
             return (f"{value:.17g}", 8) if value >= 0 else (f"{value:.17g}", 4)
-        if means in (
-            "NAME",
-            "NAME_TIME",
-            "NAME_AVOGADRO",
-            "CONSTANT_PI",
-            "CONSTANT_E",
-            "CONSTANT_TRUE",
-            "CONSTANT_FALSE",
-        ):
-            return self._named(means, node), 8
+        names = {"NAME_TIME": "t" if self.time is None else f"({self.time!r})", "NAME_AVOGADRO": "6.02214179e+23",
+                 "CONSTANT_PI": "pi", "CONSTANT_E": "exp(1)", "CONSTANT_TRUE": "(1 > 0)",
+                 "CONSTANT_FALSE": "(1 < 0)"}  # fmt: skip
+        if means in names or means == "NAME":
+            return names.get(means) or self._name(node.getName()), 8
         parts = [self._printed(each, where) for each in inside]
         if means == "FUNCTION":
             name = self._name(node.getName())
@@ -403,13 +396,6 @@ class _Components:
             return pattern.format(*(text for text, _ in parts)), 8 if pattern[0].isalpha() and "/" not in pattern else 4
         name = node.getName() or means.removeprefix("FUNCTION_").lower()
         raise self.fault(where, f"{shortened(name)!r} with {len(parts)} arguments is not read; write it out")
-
-    def _named(self, means: str, node: Any) -> str:
-        if means == "NAME_TIME":
-            return "t" if self.time is None else f"({self.time!r})"
-        constants = {"NAME_AVOGADRO": repr(node.getReal()), "CONSTANT_PI": "pi", "CONSTANT_E": "exp(1)",
-                     "CONSTANT_TRUE": "(1 > 0)", "CONSTANT_FALSE": "(1 < 0)"}  # fmt: skip
-        return constants.get(means) or self._name(node.getName())
 
     def _joined(self, means: str, parts: list[tuple[str, int]], where: str) -> tuple[str, int]:
         """Operands with their sign between them, in brackets where they bind less tightly."""

@@ -224,7 +224,8 @@ class _Definitions:
     def system(self, resets: Sequence[_Entry]) -> Entries:
         """The table of a problem file: what the rates and the resets use, and no more. Raises `InputError`."""
         made: Entries = {"kind": "equations", "find_invariants": True}
-        made["parameters"] = {self.spelled[word]: value for word, value in self._passed(resets).items()}
+        self._pass(resets)
+        made["parameters"] = {self.spelled[entry.word]: float(entry.text) for entry in self.tables["parameters"]}
         events = [event for entry in resets for event in self._events(entry)]
         used = self._used([entry.text for entry in self.tables["rates"]])
         used |= self._used([text for event in events for text in (event["guard"], *event["reset"].values())])
@@ -255,31 +256,36 @@ class _Definitions:
             waiting += [self.defined[word].text for word in new if word in self.defined]
         return used
 
-    def _passed(self, resets: Sequence[_Entry]) -> dict[str, float]:
-        """The parameters at the time of the rates, as lines `global` of earlier times leave them. Raises `InputError`.
+    def _pass(self, resets: Sequence[_Entry]) -> None:
+        """Give the parameters the values that lines `global` of times before that of the rates leave them.
 
-        Their conditions are linear in the time; the last in time decides.
+        Each happens once, where a condition that is linear in the time crosses 0, and takes the parameters as the
+        events before it left them. Raises `InputError` where states, or other events, decide when or what.
         """
-        values = {entry.word: float(entry.text) for entry in self.tables["parameters"]}
-        passed, (first, *others) = list[tuple[float, dict[str, str]]](), [entry.word for entry in self.tables["rates"]]
-        state = np.zeros(1 + len(others)).tolist()
-        for entry in resets:
-            direction, condition, actions = _global(entry)
-            if self.time is not None and "t" in (used := self._used([condition])):
-                self.left_out.append(f"global {entry.text}")
-                begin, half, end = (self.values({first: condition}, state, k * self.time / 2)[0] for k in range(3))
-                if used & {first, *others} or not abs(begin - 2 * half + end) <= 1e-9 * max(abs(begin), abs(end)):
-                    raise entry.fault("is no time at which it happens, such as t-100; leave it out")
-                if (begin < 0 < end and direction >= 0) or (begin > 0 >= end and direction <= 0):
-                    passed.append((begin / (begin - end) * self.time, actions))
+        passed, first = list[tuple[float, dict[str, str]]](), self.tables["rates"][0].word
+        state, states = [0.0] * len(self.tables["rates"]), {entry.word for entry in self.tables["rates"]}
+        timed = [] if self.time is None else [(entry, _global(entry)) for entry in resets]
+        timed = [(entry, event) for entry, event in timed if "t" in self._used([event[1]])]
+        known = {entry.word for entry in self.tables["parameters"]}
+        sets = {word for _, (_, _, actions) in timed for word in actions if word in known}
+        for entry, (direction, condition, actions) in timed:
+            actions = {word: text for word, text in actions.items() if word in known}
+            begin, half, end = (self.values({first: condition}, state, k * (self.time or 0.0) / 2)[0] for k in range(3))
+            straight = abs(begin - 2 * half + end) <= 1e-9 * max(abs(begin), abs(end))
+            if not straight or self._used([condition]) & (states | sets):
+                raise entry.fault("is no time at which it happens, such as t-100; leave it out")
+            if self._used([*actions.values()]) & states:
+                raise entry.fault("gives a parameter a value of the state then; leave it out, or make it a variable")
+            self.left_out.append(f"global {entry.text}")
+            if (begin < 0 < end and direction >= 0) or (begin > 0 >= end and direction <= 0):
+                passed.append((begin / (begin - end) * (self.time or 0.0), actions))
         for time, actions in sorted(passed, key=lambda each: each[0]):
-            values |= {
-                word: self.values({first: text}, state, time)[0] for word, text in actions.items() if word in values
-            }
-        return values
+            new = {word: repr(self.values({first: text}, state, time)[0]) for word, text in actions.items()}
+            parameters = [replace(each, text=new.get(each.word, each.text)) for each in self.tables["parameters"]]
+            self.tables = {**self.tables, "parameters": parameters}
 
     def _events(self, entry: _Entry) -> Iterator[Entries]:
-        """The events of a line `global`; none where it only prints or ends a simulation, or was `_passed`.
+        """The events of a line `global`; none where it only prints or ends a simulation, or has passed.
 
         Raises `InputError`.
         """
