@@ -124,25 +124,29 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
     solution = settled_on(curve, event)
     curve = curve.measured(solution)
     whole = _heading(curve, solution, along)
-    here, result, said = Probe(curve, solution), None, Exception()
+    here, sides, said = Probe(curve, solution), None, Exception()
     slope = None if curve.test is not None or crossed(curve, solution) else solution.jacobian
     for share, outer in SHARES:
         try:
             shares = step * share * np.array([-2, -1, 0, 1, 2] if outer else [-1, 0, 1])
             looks = [Probe(curve, _corrected(curve, solution, whole, d, 0.5 * step, slope)) for d in shares]
             before, middle, after = looks[outer : len(looks) - outer]
-            sides = Sides(before, here, middle, after, share * step, step, looks[:: len(looks) - 1] if outer else (),
-                          parameter, share == SHARES[-1][0])  # fmt: skip
-            result = kind.check(sides, event)
+            far = looks[:: len(looks) - 1] if outer else ()
+            tried = Sides(before, here, middle, after, share * step, step, far, parameter, share == SHARES[-1][0])
+            result = kind.check(tried, event)
             check(f"EventKind {event.kind!r}, check", "Reading", result)
         except (ConvergenceError, IntegrationError) as error:
             said = said if isinstance(said, Refuted) else error
             continue
+        sides = tried
         if result.passed:
-            return replace(result, criticality=kind.side(sides, event))
-    if result is None:
+            break
+    if sides is None:
         raise said
-    return result
+    if sides.outer and not (result.passed or sides.farthest):  # nothing farther could be corrected
+        sides = replace(sides, farthest=True)
+        result = kind.check(sides, event)
+    return replace(result, criticality=kind.side(sides, event)) if result.passed else result
 
 
 def _corrected(
@@ -162,16 +166,11 @@ def settled_on(curve: Curve, event: Event | FamilyPoint) -> Solution:
         return at_place(curve, unknowns_of(curve, event))
     arcs = curve.equations.links.count if curve.equations.links else 1
     mesh = uniform(curve.equations.symmetry.fraction, arcs, STEPS // arcs)
-    nodes = _starts(curve, event, arcs)
+    nodes = event.state[None]
+    if arcs > 1:  # where its arcs begin (arcs x d)
+        model = with_parameters(curve.equations.model, event.free)
+        nodes = np.array([arc.states[0] for arc in cycle_from(model, event.state, longest=PATIENCE * event.period)])
     return at_place(curve, fitted(curve, unknowns_of(curve, replace(event, shooting_nodes=nodes, mesh=mesh))))
-
-
-def _starts(curve: Curve, event: Event | FamilyPoint, arcs: int) -> np.ndarray:
-    """Where the arcs of an event's orbit begin (arcs x d)."""
-    if arcs == 1:
-        return event.state[None]
-    model = with_parameters(curve.equations.model, event.free)
-    return np.array([arc.states[0] for arc in cycle_from(model, event.state, longest=PATIENCE * event.period)])
 
 
 def _heading(curve: Curve, solution: Solution, along: np.ndarray) -> np.ndarray:
