@@ -67,6 +67,7 @@ from .mechanics.model import energy as energy
 from .mechanics.model import positions as positions
 from .mechanisms.chain import chain as chain
 from .mechanisms.chain import chain_dae as chain_dae
+from .mechanisms.library import bodies as bodies
 from .mechanisms.linkage import linkage as linkage
 from .mechanisms.mechanism import mechanism as mechanism
 from .mechanisms.robot import robot as robot

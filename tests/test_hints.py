@@ -36,22 +36,22 @@ def test_a_pin_too_many_on_a_relative_equilibrium_is_named():
 
 
 def spring_in_space(**options):
+    """y is measured in halves of the others, so that no turning of coordinates is the rotation about the vertical."""
     q, v = ca.SX.sym("q", 3), ca.SX.sym("v", 3)
-    stretch = ca.sqrt(ca.sumsqr(q)) - 1
-    return of.lagrange(
-        ca.sumsqr(v) / 2, 20 * stretch**2 - 9.81 * q[2], of.Symbols(q, v), names=["x", "y", "z"], **options
-    )
+    place, rate = (ca.vertcat(x[0], x[1] / 2, x[2]) for x in (q, v))
+    energy = 20 * (ca.norm_2(place) - 1) ** 2 - 9.81 * q[2]
+    return of.lagrange(ca.sumsqr(rate) / 2, energy, of.Symbols(q, v), names=["x", "y", "z"], **options)
 
 
 def about_the_vertical():
-    """x ydot - y xdot, of the rotation that no coordinate shows."""
+    """x ydot - y xdot in halves, of the rotation that no coordinate shows."""
     q, v, p = ca.SX.sym("q", 3), ca.SX.sym("v", 3), ca.SX.sym("p", 0)
-    turned = ca.vertcat(-q[1], q[0], 0)
+    turned, turning = (ca.vertcat(-x[1] / 2, 2 * x[0], 0) for x in (q, v))
     return of.Invariant(
         "spin",
-        ca.Function("spin", [q, v, p], [ca.dot(turned, v)]),
+        ca.Function("spin", [q, v, p], [(q[0] * v[1] - q[1] * v[0]) / 2]),
         ca.Function("spin_unfolding", [q, v, p], [turned]),
-        ca.Function("rotation", [q, v, p], [ca.vertcat(turned, -v[1], v[0], 0)]),
+        ca.Function("rotation", [q, v, p], [ca.vertcat(turned, turning)]),
     )
 
 

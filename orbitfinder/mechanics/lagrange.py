@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import casadi as ca
@@ -13,6 +14,7 @@ import numpy as np
 from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, shortened
+from orbitfinder.mechanics.conserved import linear_invariants
 from orbitfinder.mechanics.controls import Limits, checked_controls, checked_limits, divided
 from orbitfinder.mechanics.factorise import acceleration_function
 from orbitfinder.mechanics.model import Drive, Dynamics, Invariant, Mechanics, Model, Structure, altered
@@ -149,30 +151,44 @@ def energy_invariant(kinetic: ca.SX, potential: ca.SX, q: ca.SX, v: ca.SX, p: ca
 
 
 def detected_invariants(
-    terms: Terms, labels: Sequence[str], arguments: Sequence[ca.SX], cyclic: Sequence[bool] | None = None
-) -> list[Invariant]:
-    """Energy where no force acts, and the momentum dL/dv_i of each coordinate that L does not contain, or is `cyclic`.
+    terms: Terms, labels: Sequence[str], arguments: Sequence[ca.SX], cyclic: Sequence[bool] | None = None,
+    angles: Sequence[bool] = (),
+) -> list[Invariant]:  # fmt: skip
+    """Energy where no force acts, and the momentum dL/dv.g of each direction g(q) along which L stays what it is and no
+    force acts: of each coordinate that L does not contain or, if that is given, is `cyclic`; else also of shifts of
+    several coordinates and rotations of those that are no `angles`: dL/dq.g + dL/dv.(dg/dq v) = 0 for all (t, q, v, p).
 
-    Source: Goldstein, Classical Mechanics, section 2.6. A force on such a coordinate ends it.
+    Source: Goldstein, Classical Mechanics, sections 2.6 and 13.7.
     """
     _, q, v, p = arguments
     lagrangian = terms.kinetic - terms.potential + (0 if terms.gyroscopic is None else terms.gyroscopic)
     invariants = [] if terms.forces is not None else [energy_invariant(terms.kinetic, terms.potential, q, v, p)]
-    momentum = ca.gradient(lagrangian, v)
+    momentum, unit = ca.gradient(lagrangian, v), ca.SX(ca.DM.eye(len(labels)))
+    force = ca.SX.zeros(len(labels)) if terms.forces is None else ca.SX(terms.forces)
+    tried, directions = dict[str, ca.SX](), dict[str, ca.SX]()
+    for i, j in combinations([] if cyclic else [i for i, angle in enumerate(angles) if not angle], 2):
+        tried[f"angular_momentum_{labels[i]}_{labels[j]}"] = unit[:, j] * q[i] - unit[:, i] * q[j]
     for i, label in enumerate(labels):
-        acted_on = terms.forces is not None and not ca.SX(terms.forces)[i].is_zero()
-        if acted_on or not (cyclic[i] if cyclic is not None else not ca.depends_on(lagrangian, q[i])):
-            continue
-        along, fit = ca.SX.zeros(q.numel()), ca.Function.fix_name(f"momentum_{label}")
-        along[i] = 1
-        invariants.append(
-            Invariant(
-                f"momentum_{label}",
-                ca.Function(fit, [q, v, p], [momentum[i]]),
-                ca.Function(f"{fit}_unfolding", [q, v, p], [along]),
-                ca.Function(f"{fit}_shift", [q, v, p], [ca.vertcat(along, ca.SX.zeros(q.numel()))]),
-            )
+        if force[i].is_zero() and (cyclic[i] if cyclic is not None else not ca.depends_on(lagrangian, q[i])):
+            directions[f"momentum_{label}"] = unit[:, i]
+        elif cyclic is None:
+            tried[f"momentum_{label}"] = unit[:, i]
+    share, slope = ca.SX.sym("share"), ca.gradient(lagrangian, q)
+    changes = [ca.dot(slope + share * force, g) + ca.dot(momentum, ca.jtimes(g, q, v)) for g in tried.values()]
+    known = linear_invariants([*arguments, share], ca.vertcat(*changes)) if tried else []
+    named = [[name for name, part in zip(tried, parts, strict=True) if part] for parts in known]
+    alone = sum(first.startswith("angular") for first, *_ in named) == 1
+    for parts, (first, *others) in zip(known, named, strict=True):
+        shift = "_".join([first, *(name.removeprefix("momentum_") for name in others)])
+        turn = "angular_momentum" if alone else first
+        directions[turn if first.startswith("angular") else shift] = ca.mtimes(
+            ca.horzcat(*tried.values()), ca.DM(parts)
         )
+    for name, along in directions.items():
+        fit, along = ca.Function.fix_name(name), ca.densify(along)
+        made = {"": ca.dot(momentum, along), "_unfolding": along, "_shift": ca.vertcat(along, ca.jtimes(along, q, v))}
+        functions = (ca.Function(f"{fit}{word}", [q, v, p], [value]) for word, value in made.items())
+        invariants.append(Invariant(name, *functions))
     return invariants
 
 
@@ -199,7 +215,7 @@ def lagrange(
 
     Lagrange: d/dt dL/dv - dL/dq = Q with L = T(t, q, v, p) - V(t, q, p). T may have terms linear in v (moving pivots,
     rotating frames). First integrals are detected: the Jacobi integral ("energy") when Q and time are absent, and the
-    momenta of absent coordinates.
+    momenta of shifts and rotations of coordinates that change nothing, for whichever values the parameters have.
 
     Args:
         kinetic: T in J, quadratic in the velocities.
@@ -250,7 +266,7 @@ def lagrange(
         terms,
         symbols,
         labels,
-        invariants=detected_invariants(terms, labels, arguments) if invariants is None else invariants,
+        invariants=detected_invariants(terms, labels, arguments, angles=turning) if invariants is None else invariants,
         system=system,
         angles=turning,
         **pictured(points, [q, p]),

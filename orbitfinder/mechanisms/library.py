@@ -16,8 +16,8 @@ from scipy.optimize import brentq
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
 from orbitfinder.mechanics.kind import BUILT_IN
-from orbitfinder.mechanics.lagrange import Symbols, energy_invariant, lagrange
-from orbitfinder.mechanics.model import Invariant, Model, altered, finite_number
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.mechanics.model import Model, altered, finite_number
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,7 @@ def whole_number(name: str, value: int, most: int) -> int:
 
 SPRUNG = (("ground", (0,)), ("spring", (0, 1)), ("rod", (1,)))
 TIED = (("ground", (0,)), ("spring", (0, 1)), ("slider", (1,)))
-APART = (("rod", (0,)), ("rod", (1,)), ("rod", (2,)))
-"""What is drawn: a mass on a spring that hangs, one on a track; three bodies"""
+"""What is drawn: a mass on a spring that hangs, one on a track"""
 
 
 def duffing(stiffness: float = 1.0, cubic: float = 1.0) -> Model:
@@ -297,7 +296,7 @@ def turning_three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 
     return made.model(
         "turning_three_bodies", kinetic, -made["gravitation"] * pull,
         names=["r", "phi", "u", "w"], angles=[False, True, False, False], points=places, centres=places,
-        strokes=APART,
+        strokes=tuple(("rod", (k,)) for k in range(3)),
     )  # fmt: skip
 
 
@@ -420,28 +419,80 @@ def three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 1.0) -> 
     conserved. With equal masses the figure eight of A. Chenciner, R. Montgomery, Annals of Mathematics 152 (2000)
     881-901 is one of its orbits.
     """
-    made = ingredients(4, locals(), tuple(locals()))
-    q, v, (first, second, third) = made.q, made.v, (made["mass1"], made["mass2"], made["mass3"])
-    r, far, pair = q[:2], q[2:], first + second
-    kinetic = (first * second / pair * ca.sumsqr(v[:2]) + third * pair / (pair + third) * ca.sumsqr(v[2:])) / 2
-    gaps = r, far - first / pair * r, far + second / pair * r
-    products = first * second, second * third, first * third
-    potential = -sum(product / ca.norm_2(gap) for product, gap in zip(products, gaps, strict=True))
-    turned, turning = (ca.vertcat(-x[1], x[0], -x[3], x[2]) for x in (q, v))
-    arguments = [q, v, made.parameters]
-    momentum = Invariant(
-        "angular_momentum",
-        ca.Function("angular_momentum", arguments, [ca.dot(ca.gradient(kinetic, v), turned)]),
-        ca.Function("angular_momentum_unfolding", arguments, [turned]),
-        ca.Function("rotation", arguments, [ca.vertcat(turned, turning)]),
-    )
-    centre = -third / (pair + third) * far
-    places = ca.horzcat(centre - second / pair * r, centre + first / pair * r, pair / (pair + third) * far)
+    return _attracting(ingredients(4, locals(), tuple(locals())), "three_bodies", ("rx", "ry", "Rx", "Ry"), 3)
+
+
+def n_bodies(count: int = 3, dimension: int = 2, gravitation: float = 1.0, **masses: float) -> Model:
+    """`count` bodies of masses mass1, mass2, ... (1 unless given) that attract each other in a plane or in space.
+
+    x_i'' = sum_j G m_j (x_j - x_i) / |x_j - x_i|^3 about their common centre of mass, in Jacobi coordinates: s1 is x2
+    from x1, s2 is x3 from the centre of mass of these, and so on. Energy and angular momentum are conserved.
+    `of.bodies` takes positions and velocities. Source: A. E. Roy, Orbital Motion, chapter 5.
+    """
+    number, size = whole_number("count", count, 12), whole_number("dimension", dimension, 3)
+    given = {f"mass{k + 1}": 1.0 for k in range(number)}
+    if size == 1 or number == 1 or (odd := sorted(masses.keys() - given.keys())):
+        wrong = f"{odd[0]}: has no body" if number > 1 < size else "dimension and count: must be 2 or more"
+        raise InputError(f"system.arguments.{wrong}; {number} bodies have the masses {', '.join(given)}")
+    made = ingredients((number - 1) * size, {**given, **masses, "gravitation": gravitation}, (*given, "gravitation"))
+    names = [f"s{k + 1}{axis}" for k in range(number - 1) for axis in "xyz"[:size]]
+    return _attracting(made, "n_bodies", names, number, {"count": number, "dimension": size})
+
+
+def _attracting(made: Ingredients, function: str, names: Sequence[str], count: int, fixed: Any = None) -> Model:
+    """Point masses mass1, ... in Jacobi coordinates; those drawn are at rest with their centre of mass."""
+    size = len(names) // (count - 1)
+    masses = [made[f"mass{k + 1}"] for k in range(count)]
+    total, kinetic, pull, places = masses[0], ca.SX(0), ca.SX(0), [ca.SX.zeros(size)]  # from the centre so far
+    for k, mass in enumerate(masses[1:]):
+        here = slice(k * size, (k + 1) * size)
+        kinetic += mass * total / (total + mass) * ca.sumsqr(made.v[here])
+        for other, place in reversed([*zip(masses[: k + 1], places, strict=True)]):
+            pull += other * mass / ca.norm_2(made.q[here] - place)
+        places = [place - mass / (total + mass) * made.q[here] for place in places]
+        places.append(total / (total + mass) * made.q[here])
+        total += mass
+    down = ca.horzcat(*(ca.vertcat(-x[1], x[0], *ca.vertsplit(x[2:])) for x in places))
+    pull *= made["gravitation"] if "gravitation" in made.values else 1
     return made.model(
-        "three_bodies", kinetic, potential, names=["rx", "ry", "Rx", "Ry"],
-        points=ca.vertcat(-places[1, :], places[0, :]), strokes=APART,
-        invariants=[energy_invariant(kinetic, potential, *arguments), momentum],
+        function, kinetic / 2, -pull, names=names, points=down, fixed=fixed,
+        strokes=tuple(("rod", (k,)) for k in range(count)),
     )  # fmt: skip
+
+
+def bodies(
+    masses: Sequence[float], positions: np.ndarray, velocities: np.ndarray, gravitation: float = 1.0
+) -> tuple[Model, np.ndarray]:
+    """Bodies that attract each other, from the positions and velocities that a paper prints.
+
+    Args:
+        masses: of the n bodies.
+        positions: n x 2 or n x 3, about whichever centre.
+        velocities: likewise; those of the centre of mass are left out.
+        gravitation: G, 1 in most papers.
+
+    Returns:
+        The Model `systems.n_bodies` and its state, for `of.Guess(state, period)`.
+
+    Raises:
+        InputError: naming what does not have two or three numbers for each mass.
+
+    Examples:
+        >>> places, rates = [[-1, 0], [1, 0], [0, 0]], [[0.3471, 0.5327], [0.3471, 0.5327], [-0.6942, -1.0654]]
+        >>> eight, state = of.bodies([1, 1, 1], places, rates)
+        >>> round(of.find_orbit(of.Problem(eight, of.Guess(state, 6.3244))).period, 2)
+        6.32
+    """
+    weights, *given = (np.asarray(each, float) for each in (masses, positions, velocities))
+    for name, each in zip(("positions", "velocities"), given, strict=True):
+        if each.ndim != 2 or len(each) != weights.size or each.shape[1] not in (2, 3) or each.shape != given[0].shape:
+            raise InputError(
+                f"{name}: shape {each.shape} for {weights.size} masses; give two or three numbers for each mass"
+            )
+    names = {f"mass{k + 1}": float(mass) for k, mass in enumerate(weights)}
+    model = n_bodies(weights.size, given[0].shape[1], gravitation, **names)
+    centres = [np.cumsum(weights[:, None] * each, axis=0) / np.cumsum(weights)[:, None] for each in given]
+    return model, np.concatenate([each[1:] - own[:-1] for each, own in zip(given, centres, strict=True)]).ravel()
 
 
 def planar_oscillator(stiffness_x: float = 1.0, stiffness_y: float = 2.0, quartic: float = 1.0) -> Model:
@@ -550,7 +601,7 @@ def hodgkin_huxley(current: float = 10.0) -> Model:
 
 __all__ = [
     "brusselator", "cart_chain", "coupled_pendula", "double_well", "duffing", "fitzhugh_nagumo", "forced_duffing",
-    "forced_pendulum", "henon_heiles", "hodgkin_huxley", "lorenz", "pendulum_on_cart", "planar_oscillator",
+    "forced_pendulum", "henon_heiles", "hodgkin_huxley", "lorenz", "n_bodies", "pendulum_on_cart", "planar_oscillator",
     "restricted_three_body", "restricted_three_body_canonical", "rossler", "rotating_hoop", "spherical_pendulum",
     "spring_pendulum", "swinging_spring", "three_bodies", "turning_three_bodies", "van_der_pol", "vibrated_pendulum",
 ]  # fmt: skip

@@ -17,8 +17,9 @@ ERROR_FLOOR = 1e-8
 STABILITIES = ("elliptic", "unstable", "marginal", "asymptotically stable")
 """The verdicts."""
 
-AREA = 1e-6
-"""How near to 1 the product of a hybrid orbit's multipliers is where its resets keep areas, as its modes do"""
+AREA, COMMUTING = 1e-6, 1e-8
+"""How near to 1 the product of a hybrid orbit's multipliers is where its resets keep areas, as its modes do; by what
+share of it a symmetry changes an invariant that it does not commute with"""
 
 
 @dataclass(frozen=True)
@@ -62,14 +63,22 @@ def reduce_monodromy(monodromy: np.ndarray, gradients: np.ndarray, directions: n
 def complement(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """The orthonormal basis (columns) of what is orthogonal to the gradients (k x 2n) and the directions (k x 2n).
 
-    Or the bases of several (... x k x 2n each), of as many columns as the least of them has.
+    Or the bases of several (... x k x 2n each), of as many columns as the least of them has. Of symmetries that do not
+    commute only those count that leave all invariants as they are: of the rotations of an angular momentum in space
+    that about it, while the other two and what they change are beside the level set, each other's partners.
+    Source: J. Marsden, A. Weinstein, Reports on Mathematical Physics 5 (1974) 121-130.
     """
-    removed = np.concatenate([gradients, directions], axis=-2)
+    sizes = [np.linalg.norm(each, axis=-1, keepdims=True) for each in (gradients, directions)]
+    kept, along = (each / nonzero(size) for each, size in zip((gradients, directions), sizes, strict=True))
+    pairs = kept @ along.swapaxes(-1, -2)
+    if (np.abs(pairs) > COMMUTING).any():
+        _, changes, ways = np.linalg.svd(pairs)
+        along = ways[..., int((changes > COMMUTING).sum(axis=-1).max()) :, :] @ along
+    removed = np.concatenate([kept, along], axis=-2)
     *several, _, size = removed.shape
     if not removed.size:  # forced: nothing is trivial
         return np.broadcast_to(np.eye(size), (*several, size, size))
-    scale = np.linalg.norm(removed, axis=-1, keepdims=True)
-    _, singular, rows = np.linalg.svd(removed / nonzero(scale))  # at an equilibrium the flow is 0
+    _, singular, rows = np.linalg.svd(removed)  # at an equilibrium the flow is 0
     rank = int(np.sum(singular > 1e-10 * singular[..., :1], axis=-1).max())
     return rows[..., rank:, :].swapaxes(-1, -2)
 
