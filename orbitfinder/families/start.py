@@ -394,12 +394,15 @@ def corrected(
     curve: Curve, place: Unknowns, aim: Condition, reference: Unknowns | None = None, reach: float = 10.0
 ) -> Start:
     """Correct a first guess, on successively better meshes unless it has the one of its `reference`."""
-    if reference is None:
-        place = fitted(curve, place)
-    try:
-        solution = correct(curve, place, aim, reference, reach)
-    except UNSOLVED as error:
-        raise ConvergenceError(f"no orbit to start the family from: {error}; find and certify one first") from error
+    for several in (False, True):
+        on = fitted(curve, place, several) if reference is None else place
+        try:
+            solution, place = correct(curve, on, aim, reference, reach), on
+            break
+        except UNSOLVED as error:
+            if several:
+                said = f"no orbit to start the family from: {error}; find and certify one first"
+                raise ConvergenceError(said) from error
     toward = place.joined(np.zeros(place.nodes.shape[1]), float(not place.free.size), 0.0, np.ones(place.free.size))
     whole = tangent(curve, solution, toward) if curve.equations.gridded else kernel(curve, solution)
     solution, place = settled(curve, solution, whole), solution.place

@@ -150,14 +150,17 @@ def _asked(curve: Curve, solution: Solution, fewest: int, arcs: int) -> tuple[np
     return density, int(np.clip(np.ceil(growth / np.log(MESH.growth)), fewest, MESH.most_segments))
 
 
-def fitted(curve: Curve, place: Unknowns) -> Unknowns:
+def fitted(curve: Curve, place: Unknowns, several: bool = True) -> Unknowns:
     """A motion's unknowns on a mesh that fits it; a large system's first mesh is made finer where numbers overflow, and
-    where equal steps lose the motion those that DOP853 takes come first."""
+    where equal steps lose the motion those that DOP853 takes come first, and no more segments than there are unless
+    `several` are wanted: between encounters errors grow and shrink again, and nodes make equations less linear."""
     p, first = curve.equations, place
     tries = [1, 4, 16] if p.march.wide else [1] if p.links or p.gridded else [1, 0]
     for times in tries:
         try:
             place = first.on(divided(first.mesh, times)) if times else stepped(p.march, first, curve.units)
+            if not (times or several):
+                return place.on(divided(place.mesh, 2))
             for _ in range(2):
                 solution = Solution(place, p.varied(place, states=True), np.zeros((0, 0)), 0.0)
                 if times and not tries[-1] and _errors(curve, solution).max() > UNEVEN:
