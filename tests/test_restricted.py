@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
+from orbitfinder.families.branches import switch_branch
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.loops.conditions import pin
@@ -295,3 +296,28 @@ def test_from_a_libration_point_to_near_rectilinear_halos_by_commands(tmp_path, 
         assert joined.kind == "merged"
         births = [event.energy for event in met.events if event.kind == "branch_point"]
         assert min(abs(joined.parameter - energy) for energy in births) < 1e-9
+
+
+@pytest.mark.slow
+def test_the_butterflies_leave_near_rectilinear_halos():
+    """At the doubling of T = 1.37433 (Earth and Moon): half a period later they pass their start nearly as before, and
+    were taken for the halo orbit gone round twice."""
+    model = restricted_three_body(EARTH_MOON, spatial=True)
+    guess = Guess([1.02134, 0.0, -0.18162, 0.0, -0.10176, 0.0], 1.5111)
+    halo = find_orbit(Problem(model, guess, symmetry="mirror"))
+    family = follow_family(halo, "energy", settings=FamilySettings(points=8), model=model)
+    doubled = next(one for one in family.events if one.kind == "period_doubling")
+    assert doubled.period == pytest.approx(1.37433, abs=1e-5)
+    leaving = switch_branch(family, doubled, model=model)
+    butterflies = follow_family(leaving, settings=FamilySettings(points=6), model=model)
+    assert "merged" in [end.kind for end in butterflies.ends]
+    begun = max(butterflies.points, key=lambda point: point.period)
+    assert 0 < begun.period - 2 * doubled.period < 1e-3
+
+    def field(_, x):
+        return [*x[3:], *model.acceleration(0, x[:3], x[3:], model.parameter_values).full().ravel()]
+
+    half = begun.period * np.array([0.5, 1.0])
+    gone = solve_ivp(field, (0, half[1]), begun.state, t_eval=half, method="DOP853", rtol=1e-12, atol=1e-12).y.T
+    gaps = np.abs(gone - begun.state).max(axis=1)
+    assert gaps[1] < 1e-8 and gaps[0] > 1e-3

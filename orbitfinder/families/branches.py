@@ -274,8 +274,9 @@ def symmetric(start: Start) -> Start:
 
 def _is_cover(start: Start, order: int, length: float) -> bool:
     """Whether the orbit closes already after a part of its period."""
-    _, states = full_samples(start.curve, start.solution)
-    gaps = [return_gaps(states, k) / start.curve.scales.states for k in range(2, order + 1) if order % k == 0]
+    (_, states), smooth = full_samples(start.curve, start.solution), not start.curve.equations.links
+    shares = [k for k in range(2, order + 1) if order % k == 0]
+    gaps = [return_gaps(states, k, smooth) / start.curve.scales.states for k in shares]
     return bool(np.min(np.max(gaps, axis=1)) < 0.05 * length)
 
 

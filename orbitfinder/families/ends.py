@@ -481,7 +481,7 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
     curve, solution = interval.curve, interval.sample(at).solution
     model, (times, states) = curve.equations.model, full_samples(curve, solution)
     seen = recognise(times, states, model)
-    gaps_of = {k: float((return_gaps(states, k) / curve.units).max()) for k in EVEN}
+    gaps_of = {k: float((return_gaps(states, k, not curve.equations.links) / curve.units).max()) for k in EVEN}
     extent = float(np.ptp(states / curve.units, axis=0).max())
     covers = max((k for k in EVEN if gaps_of[k] < MEETING.symmetric * extent), default=1)
     if covers == 1 and seen in (NONE.name, curve.equations.symmetry.name):

@@ -453,12 +453,15 @@ def _symmetric_instant(curve: Curve, motion: CubicHermiteSpline, symmetry: Symme
     return float(instants[np.abs(away(instants)).max(axis=1).argmin()])
 
 
-def return_gaps(states: np.ndarray, parts: int) -> np.ndarray:
-    """|x(T / parts) - x(0)| (2n) of states at equal times over a period T, but for whole turns of what runs round."""
+def return_gaps(states: np.ndarray, parts: int, smooth: bool = True) -> np.ndarray:
+    """The largest |x(t + T / parts) - x(t)| (2n) of states at equal times over a period T, but for whole turns of what
+    runs round: a motion may pass its start twice nearly alike. Between events, where it jumps, that of t = 0."""
     low, share = divmod((len(states) - 1) / parts, 1.0)
-    before, after = states[int(low)], states[int(low) + 1]
-    turns = 2 * np.pi * np.round((states[-1] - states[0]) / (2 * np.pi * parts))
-    return np.asarray(np.abs(before + share * (after - before) - states[0] - turns))
+    gone = states[-1] - states[0]
+    on = np.vstack([states, states[1:] + gone, states[1:2] + 2 * gone])[int(low) :][: len(states) + 1]
+    turns = 2 * np.pi * np.round(gone / (2 * np.pi * parts))
+    gaps = np.abs(on[:-1] + share * np.diff(on, axis=0) - states - turns)
+    return np.asarray(gaps.max(axis=0) if smooth else gaps[0])
 
 
 def reformulated(start: Start, symmetry: Symmetry) -> Start:
