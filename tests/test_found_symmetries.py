@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import orbitfinder as of
 from orbitfinder.errors import InputError
-from orbitfinder.orbits.floquet import complement
+from orbitfinder.integrate.equations import invariant_gradients
+from orbitfinder.orbits.floquet import generated
 from orbitfinder.systems import n_bodies, three_bodies
 
 EIGHT = [[-1.0, 0.0], [1.0, 0.0], [0.0, 0.0]], [[0.347111, 0.532728], [0.347111, 0.532728], [-0.694222, -1.065456]]
@@ -119,17 +120,16 @@ def test_rotations_in_space_do_not_commute():
     assert gaps.max() < 1e-9 and np.abs(np.abs(tilted.floquet_multipliers) - 1).max() < 1e-9
 
 
-def test_the_complement_of_symmetries_that_do_not_commute():
-    """Of a particle in space: what is beside the flow and the rotations has the multiplicity that algebra gives."""
-    q, v = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.3, 0.0])
-    turns = [np.cross(axis, x) for axis in np.eye(3) for x in (q, v)]
-    directions = np.array([np.concatenate([v, -q]), *np.reshape(turns, (3, 6))])
-    unit = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.eye(3), np.zeros((3, 3))]])
-    gradients = -directions @ unit.T
-    assert complement(gradients, directions).shape == (6, 0)
-    for rows, left in ((slice(0, 2), 2), (slice(1, 3), 4)):  # energy and one rotation; two rotations are partners
-        several = complement(*(np.array([each[rows]] * 2) for each in (gradients, directions)))
-        assert several.shape == (2, 6, left)
+def test_directions_of_symmetries_that_do_not_commute():
+    """Those that are left leave all momenta as they are: about the angular momentum alone, all where that is 0."""
+    model, random = springs(3), np.random.default_rng(2)
+    for rates, count in ((random.normal(size=6), 1), (np.zeros(6), 3)):
+        state = np.concatenate([random.normal(size=6), rates])
+        some, every = generated(model, state), generated(model, state, commuting=False)
+        assert np.linalg.matrix_rank(some, 1e-9) == count and np.linalg.matrix_rank(every, 1e-9) == 3
+        spins = invariant_gradients(model)(state).full()[1:]
+        assert np.abs(spins @ some.T).max() < 1e-12 and (np.abs(spins @ every.T).max() > 0.1) == (count == 1)
+        assert np.linalg.matrix_rank(np.vstack([some, every]), 1e-9) == 3
 
 
 def test_the_figure_eight_as_text(tmp_path):

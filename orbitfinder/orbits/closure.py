@@ -84,8 +84,7 @@ def closes(
     unit = np.eye(gap.size)
     stays = (np.reshape(transitions, (-1, *unit.shape)) == unit).all(axis=(0, 2)) & (states == states[0]).all(axis=0)
     free, basis = unit[stays & (gap == 0)], unit if basis is None else basis
-    asked = free if kept is None else np.vstack([free, kept])
-    frame = basis @ complement(asked @ basis, np.zeros((0, basis.shape[1])))
+    frame = basis @ complement(free @ basis, (free if kept is None else kept) @ basis)
     off, across = distance(frame.T @ gap, (-frame.T, frame.T), transitions, states, rate)
     late = (0.0, 0.0)
     if kept is not None and rate is not None:

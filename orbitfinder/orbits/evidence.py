@@ -175,10 +175,13 @@ def canonical_frame(
     Each gradient comes from the direction that it generates without forces: X = J grad I, so grad I = -J X (and, under
     constraints, of which the energy is the only invariant looked at, a sum of theirs).
     """
-    turns = generated(model, state) @ lift.T if model.constraint is None else np.zeros((0, flow.size))
+    turns, commuting = (
+        generated(model, state, each) @ lift.T if model.constraint is None else np.zeros((0, flow.size))
+        for each in (False, True)
+    )
     conserved = np.vstack([*([flow if free is None else free] if model.conservative else []), turns])
     half = flow.size // 2
-    directions = np.vstack([*([] if model.forced else [flow]), turns])
+    directions = np.vstack([*([] if model.forced else [flow]), commuting])
     return np.hstack([-conserved[:, half:], conserved[:, :half]]), directions
 
 

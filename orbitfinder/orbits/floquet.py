@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.mechanics.model import Model
 
 ERROR_FACTOR = 30.0
@@ -41,11 +42,27 @@ def symplectic_unit(n: int) -> np.ndarray:
     return np.block([[zero, one], [-one, zero]])
 
 
-def generated(model: Model, state: np.ndarray) -> np.ndarray:
-    """The symmetry directions (k x 2n) in (q, v) that a model's invariants generate at a state (2n)."""
+def generated(model: Model, state: np.ndarray, commuting: bool = True) -> np.ndarray:
+    """The symmetry directions (k x 2n) in (q, v) that a model's invariants generate at a state (2n).
+
+    If only `commuting` ones are wanted, what is left of them along those that leave all these invariants as they are:
+    of the rotations of an angular momentum in space that about it, since the other two are off the level set.
+    Source: J. Marsden, A. Weinstein, Reports on Mathematical Physics 5 (1974) 121-130.
+    """
     q, v = state[: model.degrees_of_freedom], state[model.degrees_of_freedom :]
-    found = [one.generator(q, v, model.parameter_values).full().ravel() for one in model.invariants if one.generator]
-    return np.asarray(found).reshape(-1, state.size)
+    turning = [k for k, one in enumerate(model.invariants) if one.generator]
+    parts = q, v, model.parameter_values
+    rows = [model.invariants[k].generator(*parts).full().ravel() for k in turning]  # type: ignore[misc]
+    directions = np.asarray(rows).reshape(-1, state.size)
+    if len(turning) < 2 or not commuting:
+        return directions
+    kept, along = (
+        each / nonzero(np.linalg.norm(each, axis=1, keepdims=True))
+        for each in (invariant_gradients(model)(state).full()[turning], directions)
+    )
+    _, changes, ways = np.linalg.svd(kept @ along.T)
+    rank = int((changes > COMMUTING).sum())
+    return np.asarray(ways[rank:].T @ ways[rank:] @ along) if rank else directions
 
 
 def reduce_monodromy(monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -63,22 +80,14 @@ def reduce_monodromy(monodromy: np.ndarray, gradients: np.ndarray, directions: n
 def complement(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """The orthonormal basis (columns) of what is orthogonal to the gradients (k x 2n) and the directions (k x 2n).
 
-    Or the bases of several (... x k x 2n each), of as many columns as the least of them has. Of symmetries that do not
-    commute only those count that leave all invariants as they are: of the rotations of an angular momentum in space
-    that about it, while the other two and what they change are beside the level set, each other's partners.
-    Source: J. Marsden, A. Weinstein, Reports on Mathematical Physics 5 (1974) 121-130.
+    Or the bases of several (... x k x 2n each), of as many columns as the least of them has.
     """
-    sizes = [np.linalg.norm(each, axis=-1, keepdims=True) for each in (gradients, directions)]
-    kept, along = (each / nonzero(size) for each, size in zip((gradients, directions), sizes, strict=True))
-    pairs = kept @ along.swapaxes(-1, -2)
-    if (np.abs(pairs) > COMMUTING).any():
-        _, changes, ways = np.linalg.svd(pairs)
-        along = ways[..., int((changes > COMMUTING).sum(axis=-1).max()) :, :] @ along
-    removed = np.concatenate([kept, along], axis=-2)
+    removed = np.concatenate([gradients, directions], axis=-2)
     *several, _, size = removed.shape
     if not removed.size:  # forced: nothing is trivial
         return np.broadcast_to(np.eye(size), (*several, size, size))
-    _, singular, rows = np.linalg.svd(removed)  # at an equilibrium the flow is 0
+    scale = np.linalg.norm(removed, axis=-1, keepdims=True)
+    _, singular, rows = np.linalg.svd(removed / nonzero(scale))  # at an equilibrium the flow is 0
     rank = int(np.sum(singular > 1e-10 * singular[..., :1], axis=-1).max())
     return rows[..., rank:, :].swapaxes(-1, -2)
 

@@ -24,7 +24,7 @@ def steady(model: Model, state: np.ndarray, period: float) -> dict[str, float]:
     Rates are measured by the largest one, accelerations by what that changes in a `period` (s).
     The flow of a relative equilibrium is that of its symmetries: a conical pendulum turns steadily about its axis.
     """
-    n, along = model.degrees_of_freedom, generated(model, state)
+    n, along = model.degrees_of_freedom, generated(model, state, commuting=False)
     if not len(along) or model.forced:
         return {}
     rate = accelerations(model)(0.0, state).full().ravel()
