@@ -154,8 +154,8 @@ PICTURE = re.compile(r"<!-- picture: (\S+) -->\n!\[[^\]]*\]\(([^)]+)\)")
 """A figure that the page's own commands draw, and the copy of it that is shown."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 VERSION = re.compile(r"\b\d+(?:\.\d+){2,}\w*\+?")
-ROUND_OFF = 1e-8
-"""Printed numbers below it are errors, of which only the size can be repeated."""
+ROUND_OFF, ONE_DIGIT = 1e-8, re.compile(r"[1-9]e-\d+")
+"""Printed numbers below it are errors, of which only the size can be repeated; and error bars where one digit is."""
 
 
 def numbers_agree(shown, printed, allowed=""):
@@ -164,6 +164,8 @@ def numbers_agree(shown, printed, allowed=""):
     whole = not re.search("[.e]", shown + printed)
     if one == other or allowed == "any":
         return True
+    if ONE_DIGIT.fullmatch(shown) and ONE_DIGIT.fullmatch(printed) and max(abs(one), abs(other)) < ROUND_OFF:
+        return max(abs(one), abs(other)) <= 3 * min(abs(one), abs(other))
     if allowed and (whole or allowed != "counts"):
         return abs(one - other) <= (0.2 if allowed == "counts" else float(allowed)) * max(abs(one), abs(other))
     if "e" in shown + printed and max(abs(one), abs(other)) < ROUND_OFF:
