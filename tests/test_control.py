@@ -416,3 +416,25 @@ def test_a_family_of_optima_ends_at_the_conservative_orbit_that_costs_nothing() 
     assert [one.control["cost"] for one in slower] == pytest.approx([768 / 8, 768 / 2.5**3], rel=1e-10)  # type: ignore[index]
     with pytest.raises(InputError, match="is no pin and no physical parameter"):
         of.follow_optima(pick(4.0, 10), "stifness", [4.0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("shape", "method", "guess"),
+    [("zero-order", "collocation", 0.149), ("zero-order", "shooting", 0.149), ("linear", "collocation", 0.149),
+     ("zero-order", "shooting", [0.449 if k in (2, 9, 17, 26, 33) else 0.049 for k in range(40)])],
+)  # fmt: skip
+def test_a_tank_is_better_off_heated_in_pulses(shape, method, guess):
+    """Two reactions, at rest 0.0844 of the product, no state pinned: held controls have their instants. In steps that
+    lose the motion costs have no lower bound, and IPOPT stays 6e-8 inside of a limit."""
+
+    def field(_, x, p):
+        made, lost = 1e4 * x.c1**2 * ca.exp(-1 / x.c3), 400 * x.c1 * ca.exp(-0.55 / x.c3)
+        return [1 - made - lost - x.c1, made - x.c2, p.u - x.c3]
+
+    tank = of.ode(field, ("c1", "c2", "c3"), {"u": 0.149}, controls=["u"], limits={"u": [0.049, 0.449]})
+    control = of.Control("-c2", shape, intervals=40, average=True, method=method, guess={"u": guess})
+    problem = of.Problem(tank, of.Guess([0.1, 0.08, 0.15], 10.0), of.pin(period=10.0), control=control)
+    orbit = of.find_orbit(problem)
+    assert orbit.certificate.passed, orbit.certificate.failures
+    assert orbit.control["cost"] < -0.0919 and not orbit.control["normals"]

@@ -44,7 +44,9 @@ AGREEMENT = 1e-13
 """Steps of half the length must lead to the same states, relative to the motion"""
 COLLOCATED = 1e-11
 """The same of collocation, whose rows IPOPT leaves at about this"""
-MOST_STEPS = 32
+MOST_STEPS, CLEARER, EDGE = 32, 4, 1e-6
+"""Steps of an interval; so many times as many are tried where nothing is found; what is this near to a bound is at it,
+relative to its range"""
 _arrangements: Kept[Arrangement] = Kept(32)
 IPOPT = {
     "max_iter": 1000, "constr_viol_tol": 1e-11, "dual_inf_tol": 1e-6, "compl_inf_tol": 1e-9,
@@ -401,7 +403,12 @@ class Program:
         """A solution to the last digits of its equations, by Newton's least steps, far below IPOPT's tolerance."""
         w = solution.unknowns
         stated = stated_program(self, w)
-        at = _closed(self.parts, stated, self.vector(w, solution.coefficients))
+        v = self.vector(w, solution.coefficients)
+        low, high = stated.lower[: v.size], stated.upper[: v.size]
+        # IPOPT stays inside of bounds, by more than round-off of those that cost little
+        near = np.where(np.isfinite(high - low), EDGE * (high - low), -1.0)
+        v = np.where(v - low <= near, low, np.where(high - v <= near, high, v))
+        at = _closed(self.parts, stated, v)
         return self.solution(w, at, solution.normals, solution.iterations)
 
     def vector(self, w: Unknowns, coefficients: np.ndarray) -> np.ndarray:
@@ -435,7 +442,8 @@ class Program:
         loop = Loop(equations, boundary_constants(problem, guess.nodes), conditions)
         normals = equations.phases(guess)
         timed = not (problem.boundary.reverses or problem.model.forced or problem.model.hybrid)
-        fixed = any(pin.name in problem.model.state_names for pin in problem.pin) or bool(self.parts.moments)
+        held = self.control.shape != "fourier" and "period" in [pin.name for pin in problem.pin]  # has its instants
+        fixed = held or any(pin.name in problem.model.state_names for pin in problem.pin) or bool(self.parts.moments)
         if timed and fixed:
             normals = normals[1:]
         return Loop(loop.equations, loop.constant, loop.conditions, normals, guess.nodes[0])
@@ -469,8 +477,17 @@ def optimum(problem: Problem, control: Control, tolerance: float) -> tuple[Progr
     program = Program(problem, control, steps)
     start = program.guessed()
     steps = program.parts.steps
+    rough = CLEARER * steps
     while True:
-        solution = program.solved(start, tolerance)
+        try:
+            solution = program.solved(start, tolerance)
+        except ConvergenceError:
+            if steps >= rough:
+                raise
+            steps = rough  # in steps that lose the motion costs have no lower bound
+            program = Program(problem, control, steps)
+            start = program.guessed()
+            continue
         if (error := program.error(solution)) <= enough or steps >= MOST_STEPS:
             break
         steps = finer(steps, error, enough, order)
