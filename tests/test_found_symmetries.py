@@ -61,6 +61,15 @@ def test_what_is_a_symmetry_and_what_is_none():
     assert found(unit, ca.norm_2(q - ca.DM([1, 2])), q, v) == spin  # about another point
 
 
+def test_of_many_coordinates_shifts_are_found_and_rotations_are_not_looked_for():
+    q, v = ca.SX.sym("q", 14), ca.SX.sym("v", 14)
+    loose = ca.sumsqr(ca.diff(q)) + ca.sumsqr(ca.diff(q) ** 2)
+    assert found(ca.sumsqr(v) / 2, loose, q, v) == ["energy", "momentum_q1_to_q14"]
+    assert found(ca.sumsqr(v) / 2, ca.sumsqr(q), q, v) == ["energy"]
+    q, v = ca.SX.sym("q", 101), ca.SX.sym("v", 101)
+    assert found(ca.sumsqr(v) / 2, ca.sumsqr(ca.diff(q)), q, v) == ["energy"]
+
+
 def test_a_momentum_is_kept_by_a_simulation():
     q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
     model = of.lagrange(ca.sumsqr(v) / 2, ca.norm_2(q - ca.DM([1, 2])) ** 3, of.Symbols(q, v))

@@ -394,15 +394,19 @@ def corrected(
     curve: Curve, place: Unknowns, aim: Condition, reference: Unknowns | None = None, reach: float = 10.0
 ) -> Start:
     """Correct a first guess, on successively better meshes unless it has the one of its `reference`."""
+    tried, failure = np.zeros(0), None
     for several in (False, True):
         on = fitted(curve, place, several) if reference is None else place
+        if np.array_equal(on.mesh, tried):
+            break
         try:
-            solution, place = correct(curve, on, aim, reference, reach), on
+            solution, failure = correct(curve, on, aim, reference, reach), None
             break
         except UNSOLVED as error:
-            if several:
-                said = f"no orbit to start the family from: {error}; find and certify one first"
-                raise ConvergenceError(said) from error
+            tried, failure = on.mesh, error
+    if failure is not None:
+        raise ConvergenceError(f"no orbit to start the family from: {failure}; find and certify one first") from failure
+    place = on
     toward = place.joined(np.zeros(place.nodes.shape[1]), float(not place.free.size), 0.0, np.ones(place.free.size))
     whole = tangent(curve, solution, toward) if curve.equations.gridded else kernel(curve, solution)
     solution, place = settled(curve, solution, whole), solution.place

@@ -14,7 +14,7 @@ import numpy as np
 from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, shortened
-from orbitfinder.mechanics.conserved import linear_invariants
+from orbitfinder.mechanics.conserved import MOST, linear_invariants
 from orbitfinder.mechanics.controls import Limits, checked_controls, checked_limits, divided
 from orbitfinder.mechanics.factorise import acceleration_function
 from orbitfinder.mechanics.model import Drive, Dynamics, Invariant, Mechanics, Model, Structure, altered
@@ -150,6 +150,10 @@ def energy_invariant(kinetic: ca.SX, potential: ca.SX, q: ca.SX, v: ca.SX, p: ca
     )
 
 
+MANY = 6
+"""From so many further coordinates on the momentum of their common shift is named by the first and the last"""
+
+
 def detected_invariants(
     terms: Terms, labels: Sequence[str], arguments: Sequence[ca.SX], cyclic: Sequence[bool] | None = None,
     angles: Sequence[bool] = (),
@@ -166,12 +170,14 @@ def detected_invariants(
     momentum, unit = ca.gradient(lagrangian, v), ca.SX(ca.DM.eye(len(labels)))
     force = ca.SX.zeros(len(labels)) if terms.forces is None else ca.SX(terms.forces)
     tried, directions = dict[str, ca.SX](), dict[str, ca.SX]()
-    for i, j in combinations([] if cyclic else [i for i, angle in enumerate(angles) if not angle], 2):
+    lengths = [i for i, angle in enumerate(angles) if not angle]
+    few = len(lengths) * (len(lengths) - 1) // 2 + len(labels) <= MOST
+    for i, j in combinations(lengths, 2) if few else ():
         tried[f"angular_momentum_{labels[i]}_{labels[j]}"] = unit[:, j] * q[i] - unit[:, i] * q[j]
     for i, label in enumerate(labels):
         if force[i].is_zero() and (cyclic[i] if cyclic is not None else not ca.depends_on(lagrangian, q[i])):
             directions[f"momentum_{label}"] = unit[:, i]
-        elif cyclic is None:
+        elif cyclic is None and len(labels) <= MOST:
             tried[f"momentum_{label}"] = unit[:, i]
     share, slope = ca.SX.sym("share"), ca.gradient(lagrangian, q)
     changes = [ca.dot(slope + share * force, g) + ca.dot(momentum, ca.jtimes(g, q, v)) for g in tried.values()]
@@ -179,7 +185,8 @@ def detected_invariants(
     named = [[name for name, part in zip(tried, parts, strict=True) if part] for parts in known]
     alone = sum(first.startswith("angular") for first, *_ in named) == 1
     for parts, (first, *others) in zip(known, named, strict=True):
-        shift = "_".join([first, *(name.removeprefix("momentum_") for name in others)])
+        moved = [name.removeprefix("momentum_") for name in others]
+        shift = "_".join([first, *(moved if len(moved) < MANY else ["to", moved[-1]])])
         turn = "angular_momentum" if alone else first
         directions[turn if first.startswith("angular") else shift] = ca.mtimes(
             ca.horzcat(*tried.values()), ca.DM(parts)
@@ -215,7 +222,7 @@ def lagrange(
 
     Lagrange: d/dt dL/dv - dL/dq = Q with L = T(t, q, v, p) - V(t, q, p). T may have terms linear in v (moving pivots,
     rotating frames). First integrals are detected: the Jacobi integral ("energy") when Q and time are absent, and the
-    momenta of shifts and rotations of coordinates that change nothing, for whichever values the parameters have.
+    momenta of shifts and rotations of coordinates that leave L as it is, whichever values the parameters have.
 
     Args:
         kinetic: T in J, quadratic in the velocities.
