@@ -35,8 +35,8 @@ def digest(own: Path) -> str:
 
 
 def state(folder: Path) -> dict[str, tuple[int, int]]:
-    """Sizes and times of change of the files of a folder."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    """Sizes and times of change of the files of a folder; not those that SQLite keeps while somebody reads."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.endswith(("-shm", "-wal")))
     return {str(path.relative_to(folder)): (path.stat().st_size, path.stat().st_mtime_ns) for path in files}
 
 
