@@ -47,7 +47,7 @@ def resident():
 
 for k in range(count + 1):
     assert of.find_orbit(replace(known, model=model(k))).certificate.passed, k
-    if k == 5:  # what is imported and reserved once is there by then
+    if k == count // 10:  # what is imported, reserved and kept once is there by then
         before = resident()
 print(resident() - before)
 """
@@ -59,7 +59,7 @@ linux = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads
 
 
 def growth(file: Path, how: str, count: int) -> float:
-    """MB by which a process grows from the sixth of 1 + `count` orbits that it finds and certifies to the last.
+    """MB by which a process grows from a tenth of 1 + `count` orbits that it finds and certifies to the last.
 
     Nobody else compiles into its cache: a library that appears there half-way is loaded, and counts.
     """
@@ -130,8 +130,8 @@ def test_forty_orbits_need_no_more_memory_than_one():
     [(SPRING, "same", 20.0), (SPRING, "values", 20.0), (SPRING, "builder", 20.0), (TRIPLE, "values", 30.0)],
 )
 def test_a_thousand_orbits_need_twenty_megabytes(file, how, most):
-    """Of one problem (9 MB), and of a thousand that differ (9 to 11): the caches are full after some seventy.
+    """Of one problem, and of a thousand that differ, from the hundredth on: the caches are full after some seventy.
 
-    Triple pendulums: 9 MB in use, the same after 100 as after 800, and as much again in holes of the heap.
+    Of triple pendulums 9 MB are in use, the same after 100 as after 800, and as much again is in holes of the heap.
     """
     assert growth(file, how, 1000) < most
