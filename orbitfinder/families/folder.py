@@ -117,7 +117,7 @@ def follow_family(
 
     Examples:
         >>> found = of.follow_family(orbit, until=-17.0, at=[-17.5], points=20)
-        >>> [round(one.period, 6) for one in found.points if one.energy == -17.5]
+        >>> [round(one.period, 6) for one in found.points if abs(one.value + 17.5) < 1e-12]
         [1.183808]
         >>> wide = of.follow_family(orbit, watch={"swing": "max(theta1) - min(theta1)"}, stop={"swing": 1.25})
         >>> round(float(wide.values("swing")[-1]), 12), wide.ends[-1].reason
