@@ -18,7 +18,8 @@ PRINTED = {
     "goggles": (0.083300, 0.127889, 10.466818), "butterfly I": (0.306893, 0.125507, 6.235641),
     "moth II": (0.439166, 0.452968, 28.670278), "moth III": (0.383444, 0.377364, 25.840618),
     "bumblebee": (0.184279, 0.587188, 63.534541), "dragonfly": (0.080584, 0.588836, 21.270975),
-    "yin-yang Ia": (0.513938, 0.304736, 17.328370),
+    "yin-yang Ia": (0.513938, 0.304736, 17.328370), "butterfly II": (0.392955, 0.097579, 7.003707),
+    "butterfly III": (0.405916, 0.230163, 13.865763),
 }  # fmt: skip
 """The velocity of both outer bodies, and the period: M. Suvakov, V. Dmitrasinovic, Physical Review Letters 110 (2013)
 114301"""

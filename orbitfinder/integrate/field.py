@@ -298,7 +298,7 @@ class CompiledField:
     """relative difference between compiled and other rates beyond which a library is not believed"""
 
     def __init__(self, work: Work, free: np.ndarray | None = None, units: np.ndarray | None = None) -> None:
-        self._work, self._free, self._units = work, free, units
+        self._work, self.free, self._units = work, free, units
         self._scaled: tuple[bytes, Self] | None = None
 
     @property
@@ -339,21 +339,21 @@ class CompiledField:
         """Rates (k x n) at times (k) and states (k x n)."""
         fast = self.library()
         if fast is not None:
-            return fast.rates(times, states, self._units, self._free)
+            return fast.rates(times, states, self._units, self.free)
         with self._work.interpreted():
             return self._many(times, states)
 
     def stepped(self, times: np.ndarray, states: np.ndarray, spans: np.ndarray) -> np.ndarray | None:
         """Where a step of DOP853 leads from states (k x n) at times (k) by spans (k); None without a library."""
         fast = self.library()
-        return None if fast is None else fast.stepped(times, states, spans, self._units, self._free)
+        return None if fast is None else fast.stepped(times, states, spans, self._units, self.free)
 
     def strayed(
         self, times: np.ndarray, states: np.ndarray, slopes: np.ndarray, step: np.ndarray, moments: np.ndarray
     ) -> np.ndarray | None:
         """What `Library.strayed` says; None without a library."""
         fast = self.library()
-        return None if fast is None else fast.strayed(times, states, slopes, step, moments, self._units, self._free)
+        return None if fast is None else fast.strayed(times, states, slopes, step, moments, self._units, self.free)
 
     def _many(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
         return np.array([self.rate(t, y) for t, y in zip(times, states, strict=True)])
@@ -376,7 +376,7 @@ class CompiledField:
     def _patient(self, fast: Library, span: tuple[float, float], *given: Any) -> Steps:
         start, tolerances, longest, most, noted = given
         most *= PATIENT
-        return fast.integrated(span, start, self._units, self._free, tolerances, longest, most, noted, True)
+        return fast.integrated(span, start, self._units, self.free, tolerances, longest, most, noted, True)
 
     def _integrated(
         self, span: tuple[float, float], start: np.ndarray, tolerances: tuple[float, float], longest: float,
@@ -385,7 +385,7 @@ class CompiledField:
         fast, given = self.library(), (tolerances, longest, most, noted)
         if fast is not None:
             steps = (self._patient(fast, span, start, *given) if self._work.stiff else
-                     fast.integrated(span, start, self._units, self._free, *given))  # fmt: skip
+                     fast.integrated(span, start, self._units, self.free, *given))  # fmt: skip
             if not self._work.asked() or self._agrees(
                 fast, np.array([span[0], steps.time]), np.array([start, steps.state])
             ):
@@ -396,7 +396,7 @@ class CompiledField:
 
     def _agrees(self, fast: Library, times: np.ndarray, states: np.ndarray) -> bool:
         """Whether the library's rates are the interpreter's."""
-        rows = fast.rates(times, states, self._units, self._free)
+        rows = fast.rates(times, states, self._units, self.free)
         own = CompiledField._many(self, times, states)
         known = np.isfinite(sizes := np.abs(own).max(axis=1))
         return bool(np.all(np.abs(rows - own).max(axis=1)[known] <= self.agreement * sizes[known]))
@@ -406,20 +406,20 @@ class CasadiField(CompiledField):
     """The same of a CasADi function f of (t, x), or of (t, x, free)."""
 
     def __init__(self, function: ca.Function, free: np.ndarray | None = None, units: np.ndarray | None = None) -> None:
-        self._function, self._dense = function, (work := _work(function)).dense
+        self._function, self.dense = function, (work := _work(function)).dense
         super().__init__(work, free, units)
         self._mapped: dict[int, Buffered] = {}
 
     @cached_property
     def rate(self) -> VectorField:
         """The same without a look-up of it, for what calls it often."""
-        dense, size, units = self._dense, self._function.size1_in(1), self._units
+        dense, size, units = self.dense, self._function.size1_in(1), self._units
         time, state, rate = np.zeros(1), np.zeros(size), np.zeros(self._function.size1_out(0))
         buffer, evaluate = dense.buffer()
         buffer.set_arg(0, time.data)
         buffer.set_arg(1, state.data)
-        if self._free is not None:
-            buffer.set_arg(2, self._free.data)
+        if self.free is not None:
+            buffer.set_arg(2, self.free.data)
         buffer.set_res(0, rate.data)
 
         def call(t: float, y: np.ndarray) -> np.ndarray:
@@ -441,16 +441,16 @@ class CasadiField(CompiledField):
 
     def within(self, units: np.ndarray) -> CasadiField:
         """The same in units (n)."""
-        return CasadiField(self._function, self._free, units)
+        return CasadiField(self._function, self.free, units)
 
     def _many(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
         if len(times) == 1:
             return self.rate(times[0], states[0])[None]
         size = TOGETHER[len(times) > MANY]
-        dense = self._dense
+        dense = self.dense
         if size not in self._mapped:
             self._mapped[size] = Buffered(dense.map(size))
-        given = [] if self._free is None else [self._free]
+        given = [] if self.free is None else [self.free]
         rates = np.empty((len(times), dense.size1_out(0)))
         for k in range(0, len(times), size):
             block = slice(k, k + size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
@@ -106,6 +107,15 @@ class Newton:
                 return np.full(self.measures.rows.size, np.inf)
 
         return natural(w, linearised, rows_of, self.settings, Unknowns.moved, self.measures.columns)
+
+    def sharpened(self, w: Unknowns, path: Varied, ends: Callable[[Unknowns], np.ndarray]) -> Solved[Unknowns]:
+        """Where chord steps lead from w, whose march is `path`, by `ends` that are known better than its own."""
+
+        def rows_of(w: Unknowns) -> np.ndarray:
+            return self._measured(w, ends(w))
+
+        solver = self._solver(w, path)
+        return chord(w, rows_of(w), solver, (rows_of, lambda w: solver), self.settings, Unknowns.moved)
 
     def _approach(self, w: Unknowns, path: Varied | None) -> tuple[Unknowns, Solver]:
         """Halved steps on the coarse march until the residual is small."""

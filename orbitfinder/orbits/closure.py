@@ -64,14 +64,14 @@ class Closure:
 
 def closes(
     gap: np.ndarray, transitions: Sequence[np.ndarray], states: np.ndarray, rate: np.ndarray | None,
-    kept: np.ndarray | None = None, basis: np.ndarray | None = None,
+    kept: np.ndarray | None = None, basis: np.ndarray | None = None, known: float = EPSILON,
 ) -> Closure:  # fmt: skip
     """The `Closure` of a loop from its gap (m), the state-transition matrices of its pieces, its states (k x m), and
     f T (m) or None, or whatever else may be corrected (m x k).
 
     All in extents of the motion; `rate` is None where the period is prescribed. Components that nothing else drives
     close by themselves, to their own A. With the gradients (k x m) of what is `kept` the period's error is told.
-    `basis` (m x r) spans what constraints leave.
+    `basis` (m x r) spans what constraints leave, `known` is the round-off of the integration.
     """
     sizes = np.maximum(np.abs(states).max(axis=0), 1.0)  # of the components, R
     whole = carried(transitions, sizes)
@@ -85,7 +85,7 @@ def closes(
     stays = (np.reshape(transitions, (-1, *unit.shape)) == unit).all(axis=(0, 2)) & (states == states[0]).all(axis=0)
     free, basis = unit[stays & (gap == 0)], unit if basis is None else basis
     frame = basis @ complement(free @ basis, (free if kept is None else kept) @ basis)
-    off, across = distance(frame.T @ gap, (-frame.T, frame.T), transitions, states, rate)
+    off, across = distance(frame.T @ gap, (-frame.T, frame.T), transitions, states, rate, known)
     late = (0.0, 0.0)
     if kept is not None and rate is not None:
         late = _late(gap, transitions, sizes, whole[1], np.vstack([rate, kept]), basis)
@@ -148,13 +148,14 @@ def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.nd
 
 def distance(
     gap: np.ndarray, rows: tuple[np.ndarray, np.ndarray], transitions: Sequence[np.ndarray], states: np.ndarray,
-    late: np.ndarray | None,
+    late: np.ndarray | None, precise: float = EPSILON,
 ) -> tuple[float, float]:  # fmt: skip
     """Norm of the smallest (d, d tau) that makes up for a gap (r) in what `rows` (r x m each) ask of both ends of a
     motion, of which the period changes the last by `late` (m); infinite where any could. And the same across the
     direction that is determined least.
 
-    What rates alone say of a component that hardly moves is in its gap, and known to the round-off of rates.
+    What rates alone say of a component that hardly moves is in its gap, and known to the round-off of rates. An
+    integration that is more `precise` than the start adds nothing to what that is known to.
     """
     (first, last), size = rows, np.abs(states).max(axis=0)
     later = list(accumulate(reversed(transitions), np.matmul, initial=np.eye(size.size)))
@@ -167,8 +168,10 @@ def distance(
     hidden = np.max([np.linalg.norm(left.T @ last @ after * size, axis=1) for after in later], axis=0)
     along = np.abs(left.T @ gap)  # of which the error of the columns tilts so much from the others
     excused = min(ROUND_OFF * LARGEST_SCALE, grown * float(np.hypot.reduce(along / nonzero(singular))))
-    beyond = np.maximum(along - EPSILON * excused, 0.0) + SHAKEN * EPSILON * hidden
-    known = singular - MATRIX * grown
+    begun = np.linalg.norm(left.T @ columns[:, : size.size] * size, axis=1)
+    rounded = SHAKEN * (precise * hidden + (EPSILON - precise) * begun)
+    beyond = np.maximum(along - precise * excused, 0.0) + rounded
+    known = singular - MATRIX * (precise / EPSILON) * grown
     steps = np.divide(beyond, known, out=np.full(known.shape, np.inf), where=known > 0)
     return float(np.linalg.norm(steps)), float(np.linalg.norm(np.sort(steps)[:-1]))
 

@@ -36,6 +36,7 @@ from orbitfinder.integrate.dop853 import (
     integrate_in,
 )
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
+from orbitfinder.integrate.extended import ROUND_OFF, Extended, extended
 from orbitfinder.integrate.field import VectorField, expect, rates_of, vector_field
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.loops.symmetry import Involution, Symmetry, involutions, off_centre, symplectic, with_mirrors
@@ -63,9 +64,10 @@ ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-13)
 KNOWN = 1e-6
 """Share of a component's size below which its changes are no unit to integrate in: they are round-off, nearly"""
 HAMILTON, GIVEN = "Hamilton's equations", "the rates as given"
-DOUBTFUL, MOST, ROUNDED, SPREAD = 1e-10, 16, 64 * EPSILON, 1e8
-"""A true orbit that is no nearer is sought by what else its equations keep, of states of so many numbers; relative
-error of that; condition of a state-transition matrix from which on its determinant is that of its parts"""
+DOUBTFUL, FALSE, MOST, ROUNDED, SPREAD = 1e-10, 1e-5, 16, 64 * EPSILON, 1e8
+"""A true orbit that is no nearer is sought by what else its equations keep, of states of so many numbers, and, nearer
+than the second, in long double; relative error of what they keep; condition of a state-transition matrix from which on
+its determinant is that of its parts"""
 TIED = 1e-9
 """Share of the period by which times of events may differ"""
 
@@ -104,6 +106,8 @@ class Motion:
     """of a stiff first-order motion its least and largest y (2 x m), which no equal times see"""
     ended: np.ndarray | None = None
     """the gradients where `transitions` end; none where that is not told"""
+    missed: np.ndarray | None = None
+    """y at the end less y at the start, where both are known in long double, as `transitions` are then"""
 
     def reaching(self, path: np.ndarray) -> np.ndarray:
         """A path (k x m), as far as the motion goes."""
@@ -264,7 +268,7 @@ def in_momenta(
 
 
 def _pieces(
-    equations: Hamiltonian, starts: np.ndarray, units: np.ndarray, period: float, varied: ReferenceSettings
+    equations: Hamiltonian, starts: np.ndarray, units: np.ndarray, period: float, varied: ReferenceSettings | Extended
 ) -> tuple[list[np.ndarray], np.ndarray, float]:
     """State-transition matrices (m x m) of equal pieces of a period that begin at `starts` (or, if there is one, each
     where the one before ended), their ends with the first start, and the action."""
@@ -282,14 +286,18 @@ def _pieces(
 
 
 def varied_end(
-    field: VectorField, start: np.ndarray, span: np.ndarray, units: np.ndarray, work: float, settings: ReferenceSettings
-) -> tuple[np.ndarray, np.ndarray, float]:
+    field: VectorField, start: np.ndarray, span: np.ndarray, units: np.ndarray, work: float,
+    settings: ReferenceSettings | Extended,
+) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
     """Where a motion (m) ends, its state-transition matrix (m x m) and its action, by the field of all three, measured
     in units (m) and in `work`."""
     measures = np.concatenate([units, (units[:, None] / units).ravel("F"), [work]])
     begin, size = np.concatenate([start, np.eye(start.size).ravel(), [0.0]]), start.size
-    end = integrate_in(measures, field, begin, span, settings)[-1]
-    return end[:size], end[size:-1].reshape(size, size, order="F"), float(end[-1])
+    if isinstance(settings, Extended):
+        end = settings.end(measures, begin, span, getattr(field, "free", None))
+    else:
+        end = integrate_in(measures, field, begin, span, settings)[-1]
+    return end[:size], end[size:-1].reshape(size, size, order="F").astype(float), float(end[-1])
 
 
 def evenly(period: float) -> np.ndarray:
@@ -483,7 +491,11 @@ def gather(
     at = np.searchsorted(motion.times, evenly(period))
     path, states = motion.path[at], motion.states[at]
     moved = np.ptp(motion.reaching(path), axis=0)
-    loop = _looped(model, motion, in_momenta(moved, motion.masses, period, None, acting_in(model, path)), path, period)
+    units = in_momenta(moved, motion.masses, period, None, acting_in(model, path))
+    loop = _looped(model, motion, units, path, period)
+    if motion_of is canonical_motion and DOUBTFUL < loop.closes.distance < FALSE:
+        motion = _sharpened(model, motion, units)
+        loop = _looped(model, motion, units, path, period)
     # the largest |Phi(t, s)| between the ends of any two pieces, and the largest |Phi(T, t)| |Phi(t, 0)|
     count, size = len(loop.pieces), len(loop.pieces[0])
     norms, wholes = np.ones((count + 1, count + 1)), np.empty((0, size, size))
@@ -516,20 +528,31 @@ def gather(
 def _looped(model: Model, motion: Motion, units: np.ndarray, path: np.ndarray, period: float) -> Tour:
     """The `Tour` of a motion of which a path (k x m) was looked at, in `units` (m)."""
     pieces, rate = in_extents(motion.transitions, units), None if model.forced else motion.rate * period / units
-    missed = (path[-1] - path[0] - shift(motion.turns, units.size)) / units
+    ends = path[-1] - path[0] if motion.missed is None else motion.missed
+    missed, known = (ends - shift(motion.turns, units.size)) / units, EPSILON if motion.missed is None else ROUND_OFF
     if model.rates is not None and motion.rates is not None and (idle := still(path)).any():
         each = rates_of(motion.rates)[0](np.linspace(0.0, period, len(path)), path) / units
         missed = np.where(idle, trapezoid(each, dx=period / (len(path) - 1), axis=0), missed)
     basis = tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size)
     kept, whole = motion.gradients * units, basis.size == units.size**2
-    closing = closes(missed, pieces, path / units, rate, kept, basis)
+    closing = closes(missed, pieces, path / units, rate, kept, basis, known)
     if closing.distance > DOUBTFUL and motion.rates is not None and whole and units.size <= MOST:
         more = np.vstack([kept, _conserved(motion.rates, path, units, period)])
-        closing = replace(closing, distance=closes(missed, pieces, path / units, rate, more).distance)
+        closing = replace(closing, distance=closes(missed, pieces, path / units, rate, more, None, known).distance)
         if closing.distance > DOUBTFUL and rate is not None:
             closing = replace(closing, distance=min(closing.distance, _symmetric(model, motion, units)))
     ended = None if motion.ended is None else motion.ended * units
     return Tour(closing, pieces, kept, motion.directions / units, symplectic(model), units, basis, ended=ended)
+
+
+def _sharpened(model: Model, motion: Motion, units: np.ndarray) -> Motion:
+    """A motion with its end and its transitions in long double, if they can be had."""
+    equations, period = Hamiltonian(model), float(motion.times[-1])
+    wide = None if equations.field.stiff else extended(equations.variational)
+    if wide is None:
+        return motion
+    pieces, nodes, _ = _pieces(equations, motion.path[:1], units, period, wide)
+    return replace(motion, transitions=pieces, missed=(nodes[-1] - nodes[0]).astype(float))
 
 
 def _conserved(field: VectorField, path: np.ndarray, units: np.ndarray, period: float) -> np.ndarray:

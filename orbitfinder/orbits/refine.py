@@ -19,8 +19,9 @@ from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import UNSOLVED, ConvergenceError, CountError, InputError, IntegrationError, plural
 from orbitfinder.integrate.cvodes import Flow
+from orbitfinder.integrate.extended import in_long_double
 from orbitfinder.integrate.march import Varied, divided, rounded, uniform
-from orbitfinder.integrate.rk8 import march, step_of
+from orbitfinder.integrate.rk8 import march, step_of, variational_field
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import make_curve
 from orbitfinder.loops.loop import Equations, Unknowns
@@ -233,9 +234,17 @@ class Refiner(Shown):
         samples = sampled(equations.march, w, states, moments)
         equal = Unknowns(samples[: -1 : (moments.size - 1) // NODES], w.period, unfolding, w.free, moments)
         whole = sampled_period(problem, equal, samples)
-        units = self.flow.units if self.flow else ()
-        place = replace(w, unfolding=refined.unfolding)
-        return composed(problem, place, whole, path.integral, path.transitions, end, units)
+        assert self.flow is not None
+        place, transitions, size = replace(w, unfolding=refined.unfolding), path.transitions, equations.size
+        if (wide := in_long_double(variational_field(self.flow.field))) is not None:
+            unit, more = nonzero(np.ptp(states, axis=0)), np.zeros((place.tail.size - 1) * size)
+            measures = np.concatenate([unit, (unit[:, None] / unit).ravel("F"), more + 1.0])
+            begin = np.concatenate([w.nodes[0], np.eye(size).ravel(), more])
+            with suppress(IntegrationError):
+                transitions = wide(begin, measures, w.period, place.tail[1:])[size : size + size**2].reshape(
+                    1, size, size, order="F"
+                )
+        return composed(problem, place, whole, path.integral, transitions, end, self.flow.units)
 
     @cached_property
     def _mesh(self) -> Callable[[int, int], np.ndarray]:
@@ -284,11 +293,27 @@ class Refiner(Shown):
             solved = newton.near(w)
             w, residual = solved.w, largest(solved.rows)
             if residual < self.settings.converged:
+                w = self._sharpened(w, newton, units)
                 return self._checked(w, residual, newton, pins, units)
         path = p.varied(w, states=True)
         constant = displacement(self.problem, w, path.ends[-1])
         whole = p.symmetry.whole(w.mesh, path.states, constant)[1]
         return self._solved(fitted(make_curve(p, constant, w, (), lengths(model, whole), whole), w), pins)
+
+    def _sharpened(self, w: Unknowns, newton: Newton, units: np.ndarray) -> Unknowns:
+        """w as long double has it, if that can be: past close encounters round-off of a march grows to much more."""
+        assert self.flow is not None
+        wide, span = in_long_double(self.flow.field), w.edges[-1]
+        if wide is None:
+            return w
+
+        def ends(w: Unknowns) -> np.ndarray:
+            return wide(w.nodes[0], units, span * w.period, w.tail[1:])[None]
+
+        with suppress(IntegrationError):
+            solved = newton.sharpened(w, self.equations.varied(w), ends)
+            w = solved.w if solved.converged else w
+        return w
 
     def _newton(self, w: Unknowns, path: Varied, pins: Sequence[Pin], settings: NewtonSettings) -> Newton:
         loop = loop_of(self.problem, self.equations, w, self.equations.links.passed(w, path.ends)[0][-1], pins)

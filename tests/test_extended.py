@@ -1,0 +1,87 @@
+"""Integration in long double: what it is right to, and what it shows of an orbit and of a false one."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from orbitfinder.errors import IntegrationError
+from orbitfinder.integrate.compiled import compiling
+from orbitfinder.integrate.extended import ROUND_OFF, extended
+from orbitfinder.integrate.field import vector_field
+from orbitfinder.orbits.evidence import Evidence, gather
+from orbitfinder.systems import three_bodies
+
+t, y, free = ca.SX.sym("t"), ca.SX.sym("y", 4), ca.SX.sym("free")
+KEPLER = ca.Function("kepler", [t, y, free], [ca.vertcat(y[2:], -free * y[:2] / ca.norm_2(y[:2]) ** 3)])
+FORCED = ca.Function("forced", [t, y], [ca.vertcat(y[1], -y[0], ca.cos(t), 1 / (y[3] + 2))])
+deep = pytest.mark.skipif(extended(vector_field(FORCED)) is None, reason="no compiler, or no wider long double")
+BUTTERFLY = np.array(
+    [
+        1.999998859153095,
+        1.991614059734009e-07,
+        1.2185304020252418e-30,
+        -4.82364361247927e-31,
+        0.0,
+        0.0,
+        -1.178866788171155,
+        -0.2927371061538406,
+    ]
+)
+PERIOD = 7.003703608035741
+"""Butterfly II of Suvakov and Dmitrasinovic, as found here from its printed digits"""
+
+
+@deep
+def test_exact_solutions():
+    """An oscillator, a quadrature of the time and y' = 1 / (y + 2) over a span that does not begin at 0."""
+    begin, end = np.longdouble(0.25), np.longdouble(3.0)
+    start = np.array([np.cos(begin), -np.sin(begin), np.sin(begin), 0.0])
+    found = extended(vector_field(FORCED)).end(np.array([1.0, 1.0, 1e-3, 10.0]), start, (0.25, 3.0), None)
+    exact = [np.cos(end), -np.sin(end), np.sin(end), np.sqrt(4 + 2 * (end - begin)) - 2]
+    assert found.dtype == np.longdouble
+    assert np.abs(found - exact).max() < 200 * ROUND_OFF
+
+
+@deep
+@pytest.mark.parametrize("eccentricity", [0.0, 0.5, 0.99])
+def test_a_motion_comes_back(eccentricity):
+    """Round a Kepler ellipse (a = 1, attraction 2) and back, past a centre at 1 - e: errors grow by 1 / (1 - e)^2."""
+    start = np.array([1 + eccentricity, 0.0, 0.0, np.sqrt(2 * (1 - eccentricity) / (1 + eccentricity))])
+    wide, back = extended(vector_field(KEPLER, np.array([2.0]))), np.array([1, 1, -1, -1])
+    there = wide.end(np.ones(4), start, (0.0, 4.0), np.array([2.0]))
+    again = back * wide.end(np.ones(4), back * there, (0.0, 4.0), np.array([2.0]))
+    assert np.abs(there - start).max() > 0.1
+    assert np.abs(again - start).max() < 1e3 * ROUND_OFF / (1 - eccentricity) ** 2
+
+
+@deep
+def test_a_collision_is_refused():
+    """Steps into the centre become too short."""
+    with pytest.raises(IntegrationError, match="too small in long double"):
+        extended(vector_field(KEPLER)).end(np.ones(4), np.array([1.0, 0, 0, 0]), (0.0, 2.0), np.array([2.0]))
+
+
+def butterfly(off: float = 0.0) -> Evidence:
+    """What is seen of it, its start moved by so much of its extents across the flow."""
+    return gather(three_bodies(), BUTTERFLY + off * np.eye(8)[6], PERIOD, np.zeros(4))
+
+
+@pytest.mark.slow
+@deep
+def test_round_off_past_encounters_hides_nothing():
+    """In double precision the butterfly is known to 3e-9 only, for 1e-9, and its flow is kept to 4e-8."""
+    with compiling("off"):
+        double = butterfly()
+    assert double.closes.distance > 1e-9 and double.motion.missed is None
+    known = butterfly()
+    assert known.closes.distance < 3e-10 and known.motion.missed is not None
+    assert known.tour.trivial < 1e-2 * double.tour.trivial
+    assert known.closes.gap < double.closes.gap or known.closes.gap < 1e-13
+
+
+@pytest.mark.slow
+@deep
+def test_a_start_beside_the_orbit_is_as_far_as_it_is():
+    """Orbits beside it are nearer by the share of the step that leads along their family; nothing false passes."""
+    near, far = butterfly(-1e-7).closes.distance, butterfly(1e-6).closes.distance
+    assert 1e-9 < near < 1e-7 and far == pytest.approx(10 * near, rel=0.1)
