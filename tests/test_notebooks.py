@@ -303,8 +303,8 @@ that a run took: notebooks print orbits at pinned values of the parameter instea
 def _read(text):
     """What a reader reads of an output: the words, and the numbers above round-off."""
     seen = (Tags(text).text if text.lstrip().startswith("<") else text).replace("\N{MINUS SIGN}", "-")
-    if seen.startswith("Family "):
-        seen = re.split(MEMBER, re.sub(r"orbits\d+(?=parameter)", "orbits", seen))[0]
+    if (counted := re.sub(r"orbits\d+(?=parameter)", "orbits", seen)) != seen:  # a family, whatever its title
+        seen = re.split(MEMBER, counted)[0]
     number = r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?"
     seen = re.sub(f"{number}(?= round-offs grown)", "some", seen)  # of a gap that is round-off, 0 to 30
     return re.sub(number, "#", seen), [float(one) for one in re.findall(number, seen) if abs(float(one)) > 1e-6]
