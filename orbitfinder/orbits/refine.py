@@ -48,7 +48,9 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import largest
 from orbitfinder.mechanics.scales import lengths
 from orbitfinder.mechanics.scales import units_of as measured_in
+from orbitfinder.orbits import closure
 from orbitfinder.orbits.certify import certified
+from orbitfinder.orbits.evidence import in_extents
 from orbitfinder.orbits.hybrid import carried, first_unknowns, hybrid_orbit
 from orbitfinder.orbits.measure import (
     RESOLVED,
@@ -73,6 +75,8 @@ NEAR = 1e-8
 """Share of the motion by which an integration over the whole period may miss its end"""
 ROUGH, FINE, ROUNDS = NewtonSettings(converged=1e-7), NewtonSettings(converged=1e-13), 8
 """How a single segment is closed, on so many meshes at most, and on the last of twice as many steps"""
+GROWN = 1e8
+"""Growth of errors beyond which round-off of double precision is more than what a rough correction may be"""
 NODES = 8
 """Nodes of a period in the record of an orbit on a mesh of its own"""
 
@@ -284,9 +288,14 @@ class Refiner(Shown):
                 if solved.converged:
                     break
             else:
+                steps = replace(w, nodes=p.march.states(w.nodes, w.mesh, w.tail)[:-1])
+                grown = closure.carried(
+                    in_extents(p.varied(steps).transitions[..., : units.size], units), 0 * units + 1
+                )[1]
+                lost = f"errors made under way grow {grown:.1g} times, for which double precision has too few digits"
                 raise ConvergenceError(
                     "damped Newton steps lead nowhere from this guess (a correction of "
-                    f"{solved.size:.2g} of the motion is left); start nearer"
+                    f"{solved.size:.2g} of the motion is left); " + (lost if grown > GROWN else "start nearer")
                 )
             w = w.on(divided(w.mesh, 2))
             newton = self._newton(w, p.varied(w), pins, FINE)

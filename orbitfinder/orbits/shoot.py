@@ -199,10 +199,13 @@ def _unevenly(
             tried.append(f"{said}: {error}")
     else:
         said = "; ".join(["IPOPT, and Newton's method from there", *tried])
-        nodes = initial_nodes(problem, flow, settings)
-        if problem.winding is None:
-            problem = replace(problem, winding=winding_of(problem, flow, nodes))
-        shooting, w = chosen(problem, nodes, flow, settings, report)
+        try:
+            nodes = initial_nodes(problem, flow, settings)
+            if problem.winding is None:
+                problem = replace(problem, winding=winding_of(problem, flow, nodes))
+            shooting, w = chosen(problem, nodes, flow, settings, report)
+        except UNSOLVED as error:
+            raise ConvergenceError("; ".join([*tried, f"IPOPT: {error}"])) from error
         near = shooting.at(w)
         along = Guess(near.nodes[0], near.period, near.period * near.edges, np.vstack([near.nodes, near.nodes[:1]]))
         orbit, model = _refined(replace(_settled(shooting.problem, near), guess=along, segments=None))
