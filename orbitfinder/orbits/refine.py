@@ -290,7 +290,7 @@ class Refiner(Shown):
             else:
                 steps = replace(w, nodes=p.march.states(w.nodes, w.mesh, w.tail)[:-1])
                 grown = closure.carried(
-                    in_extents(p.varied(steps).transitions[..., : units.size], units), 0 * units + 1
+                    in_extents([*p.varied(steps).transitions[..., : units.size]], units), 0 * units + 1
                 )[1]
                 lost = f"errors made under way grow {grown:.1g} times, for which double precision has too few digits"
                 raise ConvergenceError(
