@@ -76,6 +76,8 @@ class Outcome:
     """words for those of its numbers"""
     remedy: str = ""
     """what to try where it is rejected"""
+    moved: float | None = None
+    """the largest change of a catalogue's state or period, relative to the largest component or the period"""
 
     @property
     def passed(self) -> bool:
@@ -87,12 +89,12 @@ def prepare(
     files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None, method: str | None = None
 ) -> list[ProblemJob]:
     """Jobs for problem files, everything that can be checked before computing checked."""
+    from orbitfinder.problemfile.read import load_problem_file, rows_of
+
     jobs: dict[str, ProblemJob] = {}
-    for file in files:
+    for file in [row for given in files for row in rows_of(given)]:
         began, loaded, name = time.monotonic(), None, file.stem
         with contextlib.suppress(LimitError), limited(limit):  # the job tells that its time was over
-            from orbitfinder.problemfile.read import load_problem_file
-
             loaded = load_problem_file(file, trust)
             name = loaded.wanted.name
         if name in jobs:
@@ -143,6 +145,8 @@ def _gone_if_empty(folder: Path) -> None:
 
 def run_job(job: ProblemJob, shown: Display | None = None) -> Outcome:
     """Find, certify and write one orbit. Raises `InputError` only; the rest is an Outcome."""
+    import numpy as np
+
     from orbitfinder.atlas.choose import solve
     from orbitfinder.problemfile.read import load_problem_file
 
@@ -159,7 +163,13 @@ def run_job(job: ProblemJob, shown: Display | None = None) -> Outcome:
     except OrbitfinderError as error:
         return Outcome(job.name, str(job.file), "failed", one_line(error), time.perf_counter() - began)
     try:
-        return _written(job, orbit, problem.model, began)
+        outcome, guess = _written(job, orbit, problem.model, began), problem.guess
+        if job.file.exists():
+            return outcome
+        far = max(
+            np.abs(orbit.state - guess.start).max() / np.abs(guess.start).max(), abs(orbit.period / guess.period - 1)
+        )
+        return replace(outcome, moved=float(far))
     except OSError as error:
         raise InputError(
             f"--out: cannot write in {job.out / job.name} ({error}); free some space or choose another folder"

@@ -53,8 +53,9 @@ def phase_plane(files: tuple[Path, ...], ranges: tuple[str, ...], out: Path, tru
     from orbitfinder.problemfile.read import load_problem_file
     from orbitfinder.show.style import save_all
 
-    problems = [load_problem_file(file, trust) for file in files if file.suffix in (".toml", ".py")]
-    drawn = named_orbits([file for file in files if file.suffix not in (".toml", ".py")], trust)
+    asked = [file for file in files if Path(str(file).partition("#")[0]).suffix in (".toml", ".py")]
+    problems = [load_problem_file(file, trust) for file in asked]
+    drawn = named_orbits([file for file in files if file not in asked], trust)
     name, model = (problems[0].name, problems[0].model) if problems else (drawn[0][1].name, drawn[0][2])
     title = problems[0].title if problems else drawn[0][1].title
     orbits, given = [orbit for _, orbit, _ in drawn], limits(ranges)

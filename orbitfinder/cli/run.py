@@ -64,6 +64,7 @@ def _print_outcome(outcome: Outcome, width: int) -> None:
         f"{name} {outcome.status}, {', '.join(map(str.rstrip, told))}, "
         + f"closure {outcome.closure:.1e}, {outcome.stability}, symmetry {outcome.symmetry}"
         + "".join(f", {key} = {value:.12g}" for key, value in outcome.chosen.items())
+        + (f", {outcome.moved:.1e} from the catalogue" if outcome.moved is not None else "")
     )
     if outcome.reduction:
         text(f"  {outcome.reduction}")

@@ -31,7 +31,7 @@ def show(files: tuple[Path, ...]) -> None:
     """
     results = []
     for file in files:
-        if file.suffix in (".toml", ".ode", ".xml", ".sbml"):
+        if Path(str(file).partition("#")[0]).suffix in (".toml", ".ode", ".xml", ".sbml"):
             from orbitfinder.problemfile.read import load_problem_file
 
             facts = load_problem_file(file).facts

@@ -215,7 +215,7 @@ def _kept(folder: Path, request: Mapping[str, Any]) -> Journal | None:
 
 def _read(path: str | Path) -> Orbit:
     """The orbit of a file; `InputError` says what makes an origin of other files."""
-    if Path(path).suffix in (".toml", ".py"):
+    if Path(str(path).partition("#")[0]).suffix in (".toml", ".py"):
         raise InputError(f"origin: {path} is a problem file; give its Problem: load_problem({str(path)!r})")
     return load_orbit(path)
 

@@ -6,6 +6,7 @@ and builds the Model, the Guess and the Problem.
 
 from __future__ import annotations
 
+import csv
 import runpy
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,12 +20,21 @@ from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.errors import InputError, LimitError, plural
+from orbitfinder.errors import InputError, LimitError, closest, plural
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.control import Control, Task
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.constrained import maximal_states
-from orbitfinder.mechanics.kind import OTHER, PROBLEM, build_model, described, loops_of, neighbours, system_kind
+from orbitfinder.mechanics.kind import (
+    OTHER,
+    PROBLEM,
+    build_model,
+    described,
+    loops_of,
+    neighbours,
+    system_kind,
+    with_parameters,
+)
 from orbitfinder.mechanics.model import Model, constraint_of
 from orbitfinder.mechanics.scales import with_units
 from orbitfinder.mechanisms.robot import robot
@@ -47,7 +57,7 @@ from orbitfinder.records.codec import outline
 from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import Entries, bounded, file_beside, file_bytes
 
-MANUAL = "docs/problem-file.md"
+MANUAL, TOML = "docs/problem-file.md", ".toml"
 
 
 @dataclass(frozen=True)
@@ -128,15 +138,29 @@ def load_problem(path: str | Path, trust: bool = False) -> Problem:
 
 
 def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
-    """A problem file with everything in it (see `ProblemFile`). Raises `InputError`."""
-    source = Path(path)
+    """A problem file with everything in it (see `ProblemFile`); FILE#NAME a row of its catalogue, else the first.
+    Raises `InputError`."""
+    file, _, row = str(path).partition(f"{TOML}#")
+    source = Path(f"{file}{TOML}" if row else path)
     if source.suffix == ".py":
         return _load_python(source, trust)
     others = {".ode": xpp_document, ".xml": sbml_document, ".sbml": sbml_document}
     document = others.get(source.suffix, read_toml)(source)
     table = parse(document, str(source))
     with _located(source):
-        return _build(source, document, table, trust)
+        return _build(source, document, table, trust, row)
+
+
+def rows_of(file: Path) -> list[Path]:
+    """FILE#NAME of all rows of a problem file's catalogue, else the file. Raises `InputError`."""
+    if file.suffix != TOML:
+        return [file]
+    guess = read_toml(file).get("guess")
+    name = guess.get("catalogue") if isinstance(guess, dict) else None
+    if not isinstance(name, str):
+        return [file]
+    with _located(file):
+        return [Path(f"{file}#{row}") for row in read_catalogue(file.parent, name)]
 
 
 def read_toml(source: Path) -> Entries:
@@ -186,7 +210,7 @@ def _located(source: Path) -> Iterator[None]:
         raise type(error)(f"{source}: {next(within, '')}{error}") from error
 
 
-def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust: bool) -> ProblemFile:
+def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust: bool, row: str = "") -> ProblemFile:
     name = table.name or checked_name(source.stem)
     system = table.system.model_dump(exclude_none=True)
     system = system_kind(system).with_content(system, source.parent)
@@ -197,6 +221,12 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
         model = build_model(system, source.parent if trust else None)
     model, problem = with_units(model, table.units), None
     start = table.guess
+    if start and start.catalogue is not None:
+        rows = read_catalogue(source.parent, start.catalogue)
+        row = row or next(iter(rows))
+        name, (model, start) = f"{name}-{row}", _catalogued(rows, row, model, start)
+    elif row:
+        raise InputError(f"guess.catalogue: missing, so that there is no row {row!r}; give {source} alone")
     # a state alone is what equilibria start from: no period is given and nothing drives it
     if start and not (start.state is not None and start.period is start.duration is model.forcing_period is None):
         guess = replace(guess_from_table(start, model, source.parent), free=start.free)
@@ -208,6 +238,26 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
         duration=table.simulate.duration or ProblemFile.duration, start=_start(table, model, problem),
         starts=table.find.starts, seed=table.find.seed,
     )  # fmt: skip
+
+
+def _catalogued(
+    rows: Mapping[str, Mapping[str, float]], row: str, model: Model, start: GuessTable
+) -> tuple[Model, GuessTable]:
+    """The model and the guess of a row of a catalogue."""
+    if row not in rows:
+        raise InputError(f"guess.catalogue: no row {row!r}{closest(row, rows)}; it has {', '.join([*rows][:20])}")
+    values = dict(rows[row])
+    period, known = values.pop("period", None), (*model.state_names, *model.parameter_names)
+    if unknown := [name for name in values if name not in known]:
+        hint = closest(unknown[0], known)
+        raise InputError(
+            f"guess.catalogue: column {unknown[0]!r} is unknown{hint}; use name, period, {', '.join(known)}"
+        )
+    state = [values.pop(name, 0.0) for name in model.state_names]
+    if not (period or 0.0) > 0 and model.forcing_period is None:
+        raise InputError(f"guess.catalogue: row {row!r} has no period; add a column period in s")
+    model = with_parameters(model, values) if values else model
+    return model, start.model_copy(update={"catalogue": None, "state": state, "period": period})
 
 
 def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Problem:
@@ -348,18 +398,48 @@ def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
     return rest_near(model, model.landmarks[named])
 
 
+def read_catalogue(folder: Path, name: str) -> dict[str, dict[str, float]]:
+    """The rows of a CSV file in `folder` or below by name, or by number where no column is `name`, by column."""
+    lines = [line for line in _lines(folder, name, "guess.catalogue") if line.strip() and not line.startswith("#")]
+    header, rows = [*map(str.strip, next(csv.reader(lines), []))], dict[str, dict[str, float]]()
+    if twice := [column for column in header if header.count(column) > 1]:
+        raise InputError(f"guess.catalogue: {name!r} has two columns {twice[0]!r}; rename the second")
+    for number, entries in enumerate(csv.reader(lines[1:]), start=1):
+        where = f"guess.catalogue: {name!r} row {number}"
+        if len(entries) != len(header):
+            raise InputError(f"{where}: {plural(len(entries), 'column')}; give {len(header)}, as the header names")
+        values = dict(zip(header, map(str.strip, entries), strict=True))
+        row = checked_name("-".join(values.pop("name", str(number)).split()), where, "rename it")
+        if row in rows:
+            raise InputError(f"{where}: a second {row!r}; rename it")
+        try:
+            rows[row] = {column: float(value) for column, value in values.items()}
+        except ValueError as error:
+            raise InputError(f"{where}: {error}; give numbers separated by commas") from error
+        if not np.isfinite([*rows[row].values()]).all():
+            raise InputError(f"{where} must be finite; replace NaN and infinity by numbers")
+    if not rows:
+        raise InputError(f"guess.catalogue: {name!r} has no rows; give a header and a row for each orbit")
+    return rows
+
+
+def _lines(folder: Path, name: str, where: str) -> list[str]:
+    """The lines of a CSV file that the field `where` names."""
+    source = file_beside(folder, name, where)
+    try:
+        return file_bytes(source, "CSV file", 20_000_000).decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{where}: {name!r} is not UTF-8 text; save it as plain CSV") from error
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
 def read_trajectory(
     folder: Path, name: str, size: int, events: bool = False, controls: Sequence[str] = ()
 ) -> Guess:  # fmt: skip
     """A Guess from a CSV file in `folder` or below: columns t (twice at `events`) and `size` states, over a period; and
     `controls`, where the header names them, which are not read."""
-    source = file_beside(folder, name, "guess.csv")
-    try:
-        lines = file_bytes(source, "CSV file", 20_000_000).decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise InputError(f"guess.csv: {name!r} is not UTF-8 text; save it as plain CSV") from error
-    except InputError as error:
-        raise InputError(f"guess.csv: {error}") from error
+    lines = _lines(folder, name, "guess.csv")
     if controls and lines and lines[0].replace(" ", "").endswith(f",{','.join(controls)}"):
         lines = [line.rsplit(",", len(controls))[0] for line in lines]
     table = _numbers(name, lines, size, events)

@@ -330,7 +330,7 @@ def _system_of_its_kind(value: Any) -> Any:
 
 
 class GuessTable(Table):
-    """Where the search starts: `state` with `period` or `duration`, `mode` and `amplitude`, `linear`, or `csv`."""
+    """Where the search starts: `state` with `period` or `duration`, `mode` with `amplitude`, or one of the others."""
 
     state: list[float] | None = key("state at t = 0: the n angles in rad, then the n rates in rad/s")
     period: Positive | None = key(
@@ -354,6 +354,11 @@ class GuessTable(Table):
         "trajectory over one period, a CSV file in the problem file's folder with columns t (s), angles (rad), rates "
         "(rad/s); a header line is allowed",
     )
+    catalogue: str | None = key(
+        "published states, a CSV file in the problem file's folder whose header names its columns: name, period in s, "
+        "states and physical parameters; states without a column are 0; `run` takes all rows, other commands the "
+        "first, or that of FILE#NAME"
+    )
     linear: Literal[True] | None = key("driven systems: the periodic response of the equations linearised about rest")
     angles: dict[str, float] | None = key(
         "linkages: some link angles at t = 0 in rad, such as { theta1 = 0.6 }, as many as degrees of freedom; the rest"
@@ -372,12 +377,17 @@ class GuessTable(Table):
 
     @model_validator(mode="after")
     def _one_form(self) -> GuessTable:
-        given = [name for name in ("state", "mode", "csv", "angles", "linear") if getattr(self, name) is not None]
+        given = [
+            name
+            for name in ("state", "mode", "csv", "catalogue", "angles", "linear")
+            if getattr(self, name) is not None
+        ]
         if len(given) != 1:
             forms = " and ".join(given) or "none of them"
             raise PydanticCustomError(
                 "guess",
-                "give exactly one of state (with period), mode (with amplitude), angles, linear or csv, not {f}",
+                "give exactly one of state (with period), mode (with amplitude), angles, linear, csv or catalogue, "
+                "not {f}",
                 {"f": forms},
             )
         if self.duration is not None and (self.state is None or self.period is not None):
