@@ -58,7 +58,7 @@ REFUSED = {
     "columns": ("theta1,period\n1,2,3\n", [], "row 1: 3 columns; give 2, as the header names"),
     "number": ("theta1,period\n1,two\n", [], "row 1: could not convert string to float"),
     "finite": ("theta1,period\n1,nan\n", [], "row 1 must be finite"),
-    "unknown": ("theta,period\n1,2\n", [], "column 'theta' is unknown, did you mean 'theta1'?; use name, period, theta1"),
+    "unknown": ("theta,period\n1,2\n", [], "column 'theta' is unknown, did you mean 'theta1'?; use name, period"),
     "twice": ("theta1,period,theta1\n1,2,1\n", [], "two columns 'theta1'; rename the second"),
     "names": ("name,theta1,period\na,1,2\na,1,2\n", [], "row 2: a second 'a'; rename it"),
     "name": ("name,theta1,period\n../a,1,2\n", [], "row 1"),
