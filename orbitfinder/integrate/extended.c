@@ -8,8 +8,8 @@
 #define ROWS 10
 static const int PARTS[ROWS] = {2, 4, 6, 8, 12, 16, 24, 32, 48, 64};
 #define EACH for (ptrdiff_t i = 0; i < n; i++)
-#define RATE(TIME, AT, TO) { \
-  EACH x[i] = (AT)[i] * units[i]; \
+#define RATE(TIME, MOVED, TO) { \
+  EACH x[i] = (y[i] + MOVED) * units[i]; \
   now = TIME, arg[0] = &now, arg[1] = x, arg[2] = values, res[0] = TO; \
   const int failed = FIELD(arg, res, iw, w, 0); \
   EACH (TO)[i] = failed ? NAN : (TO)[i] / units[i]; }
@@ -28,19 +28,19 @@ int extrapolated(ptrdiff_t n, casadi_real *y, casadi_real *at, const double *uni
   casadi_int *iw = (casadi_int *)(res + results);
   casadi_real t = at[0], h = at[1], now;
   for (int k = 0; k < FREED; k++) values[k] = freed[k];
-  RATE(t, y, first)
+  RATE(t, 0, first)
   while (t < at[2] && left-- > 0) {
     const int last = t + 1.01L * h >= at[2];
     if (last) h = at[2] - t;
     for (int row = 0; row < ROWS; row++) {
       const int parts = PARTS[row];
       const casadi_real part = h / parts;
-      EACH before[i] = y[i], here[i] = y[i] + part * first[i];
+      EACH before[i] = 0, here[i] = part * first[i]; /* from y, or its round-off would count ten times */
       for (int k = 1; k < parts; k++) {
-        RATE(t + k * part, here, rate)
+        RATE(t + k * part, here[i], rate)
         EACH { casadi_real next = before[i] + 2 * part * rate[i]; before[i] = here[i], here[i] = next; }
       }
-      RATE(t + h, here, rate)
+      RATE(t + h, here[i], rate)
       EACH table[row * n + i] = (here[i] + before[i] + part * rate[i]) / 2;
     }
     casadi_real off = 0; /* what the last order changes, in units or in sizes where these are larger */
@@ -53,8 +53,8 @@ int extrapolated(ptrdiff_t n, casadi_real *y, casadi_real *at, const double *uni
     casadi_real factor = off == 0 ? 4 : 0.9L * pow(allowed / off, 1.0L / (2 * ROWS - 1));
     if (off <= allowed) {
       t = last ? at[2] : t + h;
-      EACH y[i] = table[(ROWS - 1) * n + i];
-      RATE(t, y, first)
+      EACH y[i] += table[(ROWS - 1) * n + i];
+      RATE(t, 0, first)
     }
     h *= factor > 4 ? 4 : factor > 0.1L ? factor : 0.1L;
   }

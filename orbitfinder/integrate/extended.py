@@ -36,15 +36,17 @@ class Extended:
         ]  # fmt: skip
 
     def end(
-        self, units: np.ndarray, start: np.ndarray, span: Sequence[float] | np.ndarray, free: np.ndarray | None
-    ) -> np.ndarray:
-        """Where a motion ends, in long double, that begins at a start (n) over a span; components in `units`.
+        self, units: np.ndarray, start: np.ndarray, span: Sequence[float] | np.ndarray, free: np.ndarray | None,
+        first: float = FIRST,
+    ) -> np.ndarray:  # fmt: skip
+        """Where a motion ends, in long double, that begins at a start (n) over a span, of which the `first` step takes
+        a share; components in `units`.
 
         Raises `IntegrationError` where its steps become too short.
         """
         units, free = np.ascontiguousarray(units, float), np.zeros(1) if free is None else free
         y = np.asarray(start, np.longdouble) / units
-        at = np.array([span[0], FIRST * (span[1] - span[0]), span[1]], np.longdouble)
+        at = np.array([span[0], first * (span[1] - span[0]), span[1]], np.longdouble)
         for _ in range(MOST):
             limit.check()
             places = (each.ctypes.data for each in (y, at, units, free))

@@ -15,7 +15,7 @@ from orbitfinder.integrate.march import Varied, divided
 from orbitfinder.loops.condensed import eliminated
 from orbitfinder.loops.loop import Loop, Unknowns, beyond
 from orbitfinder.loops.scales import Measures
-from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, full, natural
+from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, full, largest, natural
 
 
 @dataclass(frozen=True)
@@ -108,14 +108,16 @@ class Newton:
 
         return natural(w, linearised, rows_of, self.settings, Unknowns.moved, self.measures.columns)
 
-    def sharpened(self, w: Unknowns, path: Varied, ends: Callable[[Unknowns], np.ndarray]) -> Solved[Unknowns]:
-        """Where chord steps lead from w, whose march is `path`, by `ends` that are known better than its own."""
+    def sharpened(self, w: Unknowns, path: Varied, ends: Callable[[Unknowns], np.ndarray]) -> Unknowns:
+        """Where chord steps lead from w, whose march is `path`, by `ends` that are known better than its own: w, unless
+        they lead nearer."""
 
         def rows_of(w: Unknowns) -> np.ndarray:
             return self._measured(w, ends(w))
 
-        solver = self._solver(w, path)
-        return chord(w, rows_of(w), solver, (rows_of, lambda w: solver), self.settings, Unknowns.moved)
+        solver, rows = self._solver(w, path), rows_of(w)
+        solved = chord(w, rows, solver, (rows_of, lambda w: solver), self.settings, Unknowns.moved)
+        return solved.w if solved.size < largest(rows) else w
 
     def _approach(self, w: Unknowns, path: Varied | None) -> tuple[Unknowns, Solver]:
         """Halved steps on the coarse march until the residual is small."""

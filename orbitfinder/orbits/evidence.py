@@ -44,7 +44,7 @@ from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, altered, constraint_of, energies
 from orbitfinder.mechanics.scales import Acts, acting, acting_in, extents, extents_of, masses_of, snapped
-from orbitfinder.orbits.closure import Closure, carried, closes, distance, gap, shift, still
+from orbitfinder.orbits.closure import LARGEST_SCALE, Closure, carried, closes, distance, gap, shift, still
 from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, symplectic_unit
 from orbitfinder.orbits.product import lost, product
 
@@ -61,6 +61,8 @@ COARSER = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
 and for what they may be wrong by"""
 ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-13)
 """For the extents of the motion, before there are any."""
+CLOSED, KEPT = 1e-12, 1e-8
+"""Gap, of an A of 1, and loss of what is kept above which an orbit is refused, or is known in long double"""
 KNOWN = 1e-6
 """Share of a component's size below which its changes are no unit to integrate in: they are round-off, nearly"""
 HAMILTON, GIVEN = "Hamilton's equations", "the rates as given"
@@ -493,8 +495,9 @@ def gather(
     moved = np.ptp(motion.reaching(path), axis=0)
     units = in_momenta(moved, motion.masses, period, None, acting_in(model, path))
     loop = _looped(model, motion, units, path, period)
-    if motion_of is canonical_motion and DOUBTFUL < loop.closes.distance < FALSE:
+    if motion_of is canonical_motion and loop.closes.distance < FALSE and _rounded(loop):
         motion = _sharpened(model, motion, units)
+        path, states = motion.path[at], motion.states[at]
         loop = _looped(model, motion, units, path, period)
     # the largest |Phi(t, s)| between the ends of any two pieces, and the largest |Phi(T, t)| |Phi(t, 0)|
     count, size = len(loop.pieces), len(loop.pieces[0])
@@ -545,14 +548,26 @@ def _looped(model: Model, motion: Motion, units: np.ndarray, path: np.ndarray, p
     return Tour(closing, pieces, kept, motion.directions / units, symplectic(model), units, basis, ended=ended)
 
 
+def _rounded(loop: Tour) -> bool:
+    """Whether round-off of double precision may be all that is wrong with a motion."""
+    gap, grown = loop.closes.worst
+    return loop.closes.distance > DOUBTFUL or gap > CLOSED * min(grown, LARGEST_SCALE) or loop.trivial > KEPT
+
+
 def _sharpened(model: Model, motion: Motion, units: np.ndarray) -> Motion:
-    """A motion with its end and its transitions in long double, if they can be had."""
+    """A motion with its states, its end and its transitions in long double, if they can be had."""
     equations, period = Hamiltonian(model), float(motion.times[-1])
-    wide = None if equations.field.stiff else extended(equations.variational)
-    if wide is None:
+    wide, plain = (
+        None if equations.field.stiff else extended(each) for each in (equations.variational, equations.field)
+    )
+    if wide is None or plain is None:
         return motion
-    pieces, nodes, _ = _pieces(equations, motion.path[:1], units, period, wide)
-    return replace(motion, transitions=pieces, missed=(nodes[-1] - nodes[0]).astype(float))
+    pieces, nodes, action = _pieces(equations, motion.path[:1], units, period, wide)
+    rows = [nodes[0]]
+    for span in pairwise(motion.times):
+        rows.append(plain.end(units, rows[-1], span, equations.field.free, 1.0))
+    path, missed = np.array(rows, float), (nodes[-1] - nodes[0]).astype(float)
+    return replace(motion, transitions=pieces, missed=missed, path=path, states=equations.states(path), action=action)
 
 
 def _conserved(field: VectorField, path: np.ndarray, units: np.ndarray, period: float) -> np.ndarray:

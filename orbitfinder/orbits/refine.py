@@ -245,9 +245,8 @@ class Refiner(Shown):
             measures = np.concatenate([unit, (unit[:, None] / unit).ravel("F"), more + 1.0])
             begin = np.concatenate([w.nodes[0], np.eye(size).ravel(), more])
             with suppress(IntegrationError):
-                transitions = wide(begin, measures, w.period, place.tail[1:])[size : size + size**2].reshape(
-                    1, size, size, order="F"
-                )
+                found = wide(begin, measures, w.period, place.tail[1:])
+                end, transitions = found[:size], found[size : size + size**2].reshape(1, size, size, order="F")
         return composed(problem, place, whole, path.integral, transitions, end, self.flow.units)
 
     @cached_property
@@ -320,8 +319,7 @@ class Refiner(Shown):
             return wide(w.nodes[0], units, span * w.period, w.tail[1:])[None]
 
         with suppress(IntegrationError):
-            solved = newton.sharpened(w, self.equations.varied(w), ends)
-            w = solved.w if solved.converged else w
+            return newton.sharpened(w, self.equations.varied(w), ends)
         return w
 
     def _newton(self, w: Unknowns, path: Varied, pins: Sequence[Pin], settings: NewtonSettings) -> Newton:

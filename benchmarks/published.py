@@ -1,0 +1,98 @@
+"""Orbits that papers print: found and certified from their digits by `of.find_orbit` with default settings.
+
+Numbers with their sources are in published.csv:
+
+- suvakov: the fifteen of M. Suvakov, V. Dmitrasinovic, Physical Review Letters 110 (2013) 114301 and earlier ones there;
+- li-liao: 40 of the 695 of X. Li, S. Liao, Science China Physics 60 (2017) 129511, drawn with seed 2026, cut to five
+  digits after the point; free-fall: the first ten with equal masses of X. Li, S. Liao, New Astronomy 70 (2019) 22;
+- spatial: the first ten with m3 = 0.1 of X. Li, S. Liao, arXiv 2508.08568, with eight digits after the point;
+- earth-moon: D. Grebow, Generating periodic orbits in the circular restricted three-body problem with applications to
+  lunar south pole coverage (Purdue University, 2006), as recomputed by others, six digits.
+
+    python benchmarks/published.py [TABLE ...]     writes results/validation/published.md of all
+"""
+
+from __future__ import annotations
+
+import csv
+import statistics
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+import orbitfinder as of
+from orbitfinder.errors import OrbitfinderError
+
+HERE = Path(__file__).parent
+PAGE = HERE.parent / "results" / "validation" / "published.md"
+LIMIT, EARTH_MOON = 120.0, 0.012150585609624
+"""s that a search may take; the Moon's share of the mass"""
+
+
+def problem(table: str, numbers: list[float], period: float) -> of.Problem:
+    """The Problem of a row."""
+    if table == "earth-moon":
+        x, z, speed = numbers
+        model = of.systems.restricted_three_body(EARTH_MOON, spatial=True)
+        return of.Problem(model, of.Guess([x, 0.0, z, 0.0, speed, 0.0], period))
+    if table in ("suvakov", "li-liao"):
+        a, b = numbers
+        model = of.systems.three_bodies()
+        return of.Problem(model, of.Guess([2.0, 0, 0, 0, 0, 0, -3 * a, -3 * b], period))
+    if table == "free-fall":
+        model, state = of.bodies([1, 1, 1], [[-0.5, 0], [0.5, 0], numbers], np.zeros((3, 2)))
+        return of.Problem(model, of.Guess(state, period))
+    z, u, v, w = numbers
+    places, rates = [[-1, 0, 0], [1, 0, 0], [0, 0, z]], [[u, v, w], [u, v, -w], [-20 * u, -20 * v, 0]]
+    model, state = of.bodies([1, 1, 0.1], places, rates)
+    return of.Problem(model, of.Guess(state, period))
+
+
+def row(table: str, name: str, asked: of.Problem) -> tuple[bool, float, str]:
+    """Whether it was certified, in how much processor time (s), and its line of the page."""
+    began, guess = time.process_time(), asked.guess
+    try:
+        with of.limited(LIMIT):
+            orbit = of.find_orbit(asked)
+    except OrbitfinderError as error:
+        said = " ".join(str(error).split()).replace("|", "/")
+        return False, time.process_time() - began, f"| {table} | {name} | no | {guess.period} | | | {said[:300]} |"
+    passed, failed = orbit.certificate.passed, ", ".join(orbit.certificate.failures)
+    moved = np.abs(orbit.state - guess.start).max() / np.abs(guess.start).max()
+    line = (f"| {table} | {name} | {'yes' if passed else 'no'} | {guess.period} | {orbit.period:.9f} | {moved:.0e} | "
+            f"{orbit.stability if passed else failed} |")  # fmt: skip
+    return passed, time.process_time() - began, line
+
+
+def main() -> None:
+    """Go through the tables and write the page."""
+    given, chosen = list(csv.DictReader((HERE / "published.csv").open(encoding="utf-8"))), sys.argv[1:]
+    lines, counts, spent = list[str](), dict[str, list[bool]](), list[float]()
+    for each in given:
+        table, name = each["table"], each["name"]
+        if chosen and table not in chosen:
+            continue
+        numbers = [float(each[column]) for column in ("one", "two", "three", "four") if each[column]]
+        passed, seconds, line = row(table, name, problem(table, numbers, float(each["period"])))
+        counts.setdefault(table, []).append(passed)
+        spent.append(seconds)
+        lines.append(line)
+        print(f"{seconds:5.1f} s {line}", flush=True)
+    told = [f"- {table}: {sum(passed)} of {len(passed)} certified" for table, passed in counts.items()]
+    print("\n".join(told), f"\nprocessor time: median {statistics.median(spent):.1f} s, most {max(spent):.1f} s")
+    if not chosen:
+        head = ["| table | orbit | certified | printed period | period | state moved | stability, or why not |",
+                "|---|---|---|---|---|---|---|"]  # fmt: skip
+        note = [
+            "# Published orbits", "",
+            "Found and certified from the digits that papers print, by `find_orbit` with default settings and without pins; "
+            "what moved is relative to the largest component. Written by `benchmarks/published.py`, which names the sources; "
+            "the digits are in `benchmarks/published.csv`.", "",
+        ]  # fmt: skip
+        PAGE.write_text("\n".join([*note, *told, "", *head, *lines, ""]), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
