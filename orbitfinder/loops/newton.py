@@ -108,16 +108,21 @@ class Newton:
 
         return natural(w, linearised, rows_of, self.settings, Unknowns.moved, self.measures.columns)
 
-    def sharpened(self, w: Unknowns, path: Varied, ends: Callable[[Unknowns], np.ndarray]) -> Unknowns:
-        """Where chord steps lead from w, whose march is `path`, by `ends` that are known better than its own: w, unless
-        they lead nearer."""
+    def sharpened(self, w: Unknowns, ends: Callable[[Unknowns], np.ndarray]) -> tuple[Unknowns, float]:
+        """Where chord steps lead from w by `ends` that are known better than its march's, or w where they lead no
+        nearer, and the largest row."""
 
         def rows_of(w: Unknowns) -> np.ndarray:
             return self._measured(w, ends(w))
 
-        solver, rows = self._solver(w, path), rows_of(w)
-        solved = chord(w, rows, solver, (rows_of, lambda w: solver), self.settings, Unknowns.moved)
-        return solved.w if solved.size < largest(rows) else w
+        def renewed(w: Unknowns) -> Solver:
+            return self._solver(w, self.loop.equations.varied(w))
+
+        self._lost = self.loop.lost(w)
+        rows = rows_of(w)
+        solved = chord(w, rows, renewed(w), (rows_of, renewed), self.settings, Unknowns.moved)
+        before = largest(rows)
+        return (solved.w, solved.size) if solved.size < before else (w, before)
 
     def _approach(self, w: Unknowns, path: Varied | None) -> tuple[Unknowns, Solver]:
         """Halved steps on the coarse march until the residual is small."""

@@ -75,6 +75,8 @@ NEAR = 1e-8
 """Share of the motion by which an integration over the whole period may miss its end"""
 ROUGH, FINE, ROUNDS = NewtonSettings(converged=1e-7), NewtonSettings(converged=1e-13), 8
 """How a single segment is closed, on so many meshes at most, and on the last of twice as many steps"""
+FAINT = 1e-10
+"""Rows in long double of an orbit that double precision does not close"""
 GROWN = 1e8
 """Growth of errors beyond which round-off of double precision is more than what a rough correction may be"""
 NODES = 8
@@ -281,12 +283,17 @@ class Refiner(Shown):
         units = np.asarray(measured_in(model, w.nodes, w.period) or np.ones(p.size))
         w = stepped(p.march, w, units)
         if len(w.nodes) == 1:
+            first = w
             for _ in range(ROUNDS):  # passages move, and with them where steps are short
                 solved = self._newton(w, p.varied(w), pins, ROUGH).near(w)
                 w = stepped(p.march, solved.w, units)
                 if solved.converged:
                     break
             else:
+                newton = self._newton(first, p.varied(first), pins, FINE)
+                sharp, residual = self._sharpened(first, newton, units)
+                if residual < FAINT:
+                    return self._checked(sharp.on(divided(sharp.mesh, 2)), residual, newton, pins, units)
                 steps = replace(w, nodes=p.march.states(w.nodes, w.mesh, w.tail)[:-1])
                 grown = closure.carried(
                     in_extents([*p.varied(steps).transitions[..., : units.size]], units), 0 * units + 1
@@ -301,26 +308,27 @@ class Refiner(Shown):
             solved = newton.near(w)
             w, residual = solved.w, largest(solved.rows)
             if residual < self.settings.converged:
-                w = self._sharpened(w, newton, units)
+                w = self._sharpened(w, newton, units)[0]
                 return self._checked(w, residual, newton, pins, units)
         path = p.varied(w, states=True)
         constant = displacement(self.problem, w, path.ends[-1])
         whole = p.symmetry.whole(w.mesh, path.states, constant)[1]
         return self._solved(fitted(make_curve(p, constant, w, (), lengths(model, whole), whole), w), pins)
 
-    def _sharpened(self, w: Unknowns, newton: Newton, units: np.ndarray) -> Unknowns:
-        """w as long double has it, if that can be: past close encounters round-off of a march grows to much more."""
+    def _sharpened(self, w: Unknowns, newton: Newton, units: np.ndarray) -> tuple[Unknowns, float]:
+        """w as long double has it and its largest row, infinite where that cannot be had: past close encounters
+        round-off of a march grows to much more."""
         assert self.flow is not None
         wide, span = in_long_double(self.flow.field), w.edges[-1]
         if wide is None:
-            return w
+            return w, np.inf
 
         def ends(w: Unknowns) -> np.ndarray:
             return wide(w.nodes[0], units, span * w.period, w.tail[1:])[None]
 
         with suppress(IntegrationError):
-            return newton.sharpened(w, self.equations.varied(w), ends)
-        return w
+            return newton.sharpened(w, ends)
+        return w, np.inf
 
     def _newton(self, w: Unknowns, path: Varied, pins: Sequence[Pin], settings: NewtonSettings) -> Newton:
         loop = loop_of(self.problem, self.equations, w, self.equations.links.passed(w, path.ends)[0][-1], pins)
