@@ -2,7 +2,7 @@
 
 Numbers with their sources are in published.csv:
 
-- suvakov: the fifteen of M. Suvakov, V. Dmitrasinovic, Physical Review Letters 110 (2013) 114301 and earlier ones there;
+- suvakov: the fifteen in table I of M. Suvakov, V. Dmitrasinovic, Physical Review Letters 110 (2013) 114301;
 - li-liao: 40 of the 695 of X. Li, S. Liao, Science China Physics 60 (2017) 129511, drawn with seed 2026, cut to five
   digits after the point; free-fall: the first ten with equal masses of X. Li, S. Liao, New Astronomy 70 (2019) 22;
 - spatial: the first ten with m3 = 0.1 of X. Li, S. Liao, arXiv 2508.08568, with eight digits after the point;
@@ -87,9 +87,9 @@ def main() -> None:
                 "|---|---|---|---|---|---|---|"]  # fmt: skip
         note = [
             "# Published orbits", "",
-            "Found and certified from the digits that papers print, by `find_orbit` with default settings and without pins; "
-            "what moved is relative to the largest component. Written by `benchmarks/published.py`, which names the sources; "
-            "the digits are in `benchmarks/published.csv`.", "",
+            "Found and certified from the digits that papers print, by `find_orbit` with default settings and without "
+            "pins; what moved is relative to the largest component. Written by `benchmarks/published.py`, with the "
+            "sources; the digits are in `benchmarks/published.csv`.", "",
         ]  # fmt: skip
         PAGE.write_text("\n".join([*note, *told, "", *head, *lines, ""]), encoding="utf-8")
 

@@ -360,8 +360,8 @@ def _smooth_checks(trial: Trial) -> Iterator[Check | None]:
     rough = PAIRED * VARIED.relative_tolerance * still * seen.varied / nonzero(seen.norm)
     kept = max(allowed.trivial, passing, taken, min(rough, allowed.multipliers))
     near, moving = _Nearby(model, seen), "" if orbit.shift else reduction(model, orbit)
-    deep = "" if seen.motion.missed is None else ", in long double"
-    yield from trial.closing(f"DOP853 on {seen.motion.formulation}; ", f"orbit, in extents of the motion{deep}")
+    by = "DOP853" if seen.motion.missed is None else "extrapolation in long double"
+    yield from trial.closing(f"{by} on {seen.motion.formulation}; ")
     if model.conservative:
         yield at_most("energy_drift", seen.drift, allowed.energy_drift + gap, "relative to the energy exchanged")
     yield _forcing_check(orbit, model)
