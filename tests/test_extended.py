@@ -6,7 +6,7 @@ import pytest
 
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiling
-from orbitfinder.integrate.extended import ROUND_OFF, extended
+from orbitfinder.integrate.extended import ROUND_OFF, Extended, extended
 from orbitfinder.integrate.field import vector_field
 from orbitfinder.orbits.evidence import Evidence, gather
 from orbitfinder.systems import three_bodies
@@ -85,3 +85,18 @@ def test_a_start_beside_the_orbit_is_as_far_as_it_is():
     """Orbits beside it are nearer by the share of the step that leads along their family; nothing false passes."""
     near, far = butterfly(-1e-7).closes.distance, butterfly(1e-6).closes.distance
     assert 1e-9 < near < 1e-7 and far == pytest.approx(10 * near, rel=0.1)
+
+
+@pytest.mark.slow
+@deep
+def test_what_long_double_cannot_integrate_is_judged_in_double(monkeypatch):
+    """As it was before there was any, and not refused for it."""
+    known = butterfly()
+
+    def refuse(*_):
+        raise IntegrationError("no", time=0.0, state=BUTTERFLY)
+
+    monkeypatch.setattr(Extended, "end", refuse)
+    double = butterfly()
+    assert double.motion.missed is None and known.motion.missed is not None
+    assert double.closes.distance > 1e-9 > known.closes.distance

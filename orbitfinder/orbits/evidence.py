@@ -17,6 +17,7 @@ Lengths, momenta and the time are measured in extents of the motion, so that the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial, reduce
 from itertools import combinations, pairwise
@@ -495,8 +496,9 @@ def gather(
     moved = np.ptp(motion.reaching(path), axis=0)
     units = in_momenta(moved, motion.masses, period, None, acting_in(model, path))
     loop = _looped(model, motion, units, path, period)
-    if motion_of is canonical_motion and loop.closes.distance < FALSE and _rounded(loop):
-        motion = _sharpened(model, motion, units)
+    if motion_of is canonical_motion and units.size <= MOST and loop.closes.distance < FALSE and _rounded(loop):
+        with suppress(IntegrationError):
+            motion = _sharpened(model, motion, units)
         path, states = motion.path[at], motion.states[at]
         loop = _looped(model, motion, units, path, period)
     # the largest |Phi(t, s)| between the ends of any two pieces, and the largest |Phi(T, t)| |Phi(t, 0)|

@@ -75,8 +75,9 @@ NEAR = 1e-8
 """Share of the motion by which an integration over the whole period may miss its end"""
 ROUGH, FINE, ROUNDS = NewtonSettings(converged=1e-7), NewtonSettings(converged=1e-13), 8
 """How a single segment is closed, on so many meshes at most, and on the last of twice as many steps"""
-FAINT = 1e-10
-"""Rows in long double of an orbit that double precision does not close"""
+FAINT, FEW = 1e-10, 16
+"""Rows in long double of an orbit that double precision does not close; components of a state whose variations are
+integrated in it"""
 GROWN = 1e8
 """Growth of errors beyond which round-off of double precision is more than what a rough correction may be"""
 NODES = 8
@@ -242,7 +243,8 @@ class Refiner(Shown):
         whole = sampled_period(problem, equal, samples)
         assert self.flow is not None
         place, transitions, size = replace(w, unfolding=refined.unfolding), path.transitions, equations.size
-        if (wide := in_long_double(variational_field(self.flow.field))) is not None:
+        wide = in_long_double(variational_field(self.flow.field)) if size <= FEW else None
+        if wide is not None:
             unit, more = nonzero(np.ptp(states, axis=0)), np.zeros((place.tail.size - 1) * size)
             measures = np.concatenate([unit, (unit[:, None] / unit).ravel("F"), more + 1.0])
             begin = np.concatenate([w.nodes[0], np.eye(size).ravel(), more])
