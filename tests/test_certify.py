@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.cvodes import Flow
 from orbitfinder.mechanics.model import energy
 from orbitfinder.mechanisms.chain import chain
@@ -291,9 +292,10 @@ STRAIGHT = Path(__file__).parents[1] / "results" / "families" / "henon-heiles-st
 @pytest.mark.parametrize("number", [50, 60])
 def test_near_a_saddle_the_flow_is_kept_as_well_as_its_linearisation_can_be_known(number):
     """Straight orbits that nearly rest: an error is made where Phi(t, 0) is A times what it is at the end, and grows A
-    times: 6.7e-5 at A = 8e5."""
+    times: 6.7e-5 at A = 8e5. In long double, which needs a compiler, it is a hundredth of that."""
     point = load_orbit(f"{STRAIGHT}#{number}")
-    certificate = certify(point)
+    with compiling("off"):
+        certificate = certify(point)
     kept = next(one for one in certificate.checks if one.name == "trivial_multipliers")
     assert certificate.passed and 1e-8 < kept.value < kept.tolerance < 20 * kept.value
     assert certificate.scale < 1e6 and kept.tolerance < 1e-14 * certificate.scale**2

@@ -249,8 +249,9 @@ class Refiner(Shown):
             measures = np.concatenate([unit, (unit[:, None] / unit).ravel("F"), more + 1.0])
             begin = np.concatenate([w.nodes[0], np.eye(size).ravel(), more])
             with suppress(IntegrationError):
-                found = wide(begin, measures, w.period, place.tail[1:])
-                end, transitions = found[:size], found[size : size + size**2].reshape(1, size, size, order="F")
+                whole_end = wide(begin, measures, w.period, place.tail[1:])
+                end, flat = whole_end[:size], whole_end[size : size + size**2]
+                transitions = flat.reshape(1, size, size, order="F")
         return composed(problem, place, whole, path.integral, transitions, end, self.flow.units)
 
     @cached_property

@@ -189,7 +189,7 @@ def _unevenly(
     is; where that fails, from where IPOPT ends.
     """
     pins = problem.pin if not problem.count().freedom else natural_pin(problem, problem.guess.start)
-    square, tried = replace(problem, pin=pins), list[str]()
+    square, tried, blind = replace(problem, pin=pins), list[str](), True
     for name in [*_mirrors(problem), problem.symmetry]:
         said = f"Newton's method on a mesh that fits the guess's motion, symmetry {name}"
         try:
@@ -197,6 +197,7 @@ def _unevenly(
             break
         except UNSOLVED as error:
             tried.append(f"{said}: {error}")
+            blind &= isinstance(error, IntegrationError)  # nothing can be said of a motion but where it ends
     else:
         said = "; ".join(["IPOPT, and Newton's method from there", *tried])
         try:
@@ -205,6 +206,8 @@ def _unevenly(
                 problem = replace(problem, winding=winding_of(problem, flow, nodes))
             shooting, w = chosen(problem, nodes, flow, settings, report)
         except UNSOLVED as error:
+            if blind and isinstance(error, IntegrationError):
+                raise
             raise ConvergenceError("; ".join([*tried, f"IPOPT: {error}"])) from error
         near = shooting.at(w)
         along = Guess(near.nodes[0], near.period, near.period * near.edges, np.vstack([near.nodes, near.nodes[:1]]))

@@ -132,7 +132,7 @@ def _limits(
     turns = [name in model.coordinates and model.angular[model.state_names.index(name)]
              for name in names]  # fmt: skip
     low, high = np.where(turns, np.maximum(low, -np.pi), low), np.where(turns, np.minimum(high, np.pi), high)
-    room = np.where(high > low, 0.06 * (high - low) + 1e-12 * np.abs(high), 1.0)
+    room = np.where(high > low, 0.06 * (high - low), 1.0) + 1e-12 * np.abs(high)
     axes.set_xlim(low[0] - room[0], high[0] + room[0])
     axes.set_ylim(low[1] - room[1], high[1] + room[1])
 
