@@ -60,6 +60,21 @@ def test_a_long_integration_is_cut_off_and_no_alarm_is_left(call):
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
+def test_an_alarm_at_the_end_of_a_block_leaves_none_running(monkeypatch):
+    """It ended the process (exit code -14) when it rang between the last call and the end of the timer."""
+    before, calls = signal.getsignal(signal.SIGALRM), []
+
+    def late(which, seconds, again=0.0):
+        if seconds == 0.0:
+            signal.getsignal(signal.SIGALRM)(signal.SIGALRM, None)
+        calls.append(seconds)
+
+    monkeypatch.setattr(signal, "setitimer", late)
+    with pytest.raises(LimitError), limit.limited(0.05), limit.alarm():
+        time.sleep(0.06)
+    assert len(calls) == 2 and calls[1] == 0.0 and signal.getsignal(signal.SIGALRM) == before
+
+
 def test_somebody_elses_alarm_is_left_alone():
     rung = []
     before = signal.signal(signal.SIGALRM, lambda *_: rung.append(1))

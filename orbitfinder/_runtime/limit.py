@@ -106,12 +106,16 @@ def alarm() -> Iterator[None]:
     here = threading.current_thread() is threading.main_thread()  # where alone there are alarms
     free = here and hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0  # nobody else's
     ringing = free and math.isfinite(left())
-    before = signal.signal(signal.SIGALRM, lambda *_: check()) if ringing else None
+    done = False  # an alarm that rings here must not leave another running, which would end the process
+    before = signal.signal(signal.SIGALRM, lambda *_: None if done else check()) if ringing else None
     try:
-        if ringing:
-            again = 0.25  # s later: CasADi takes the first alarm for a failed evaluation and tries on
-            signal.setitimer(signal.ITIMER_REAL, max(left(), 1e-3), again)
-        yield
+        try:
+            if ringing:
+                again = 0.25  # s later: CasADi takes the first alarm for a failed evaluation and tries on
+                signal.setitimer(signal.ITIMER_REAL, max(left(), 1e-3), again)
+            yield
+        finally:
+            done = True
     finally:
         if ringing:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
