@@ -27,7 +27,7 @@ from orbitfinder.errors import OrbitfinderError
 
 HERE = Path(__file__).parent
 PAGE = HERE.parent / "results" / "validation" / "published.md"
-LIMIT, EARTH_MOON = 120.0, 0.012150585609624
+LIMIT, EARTH_MOON = 30.0, 0.012150585609624
 """s that a search may take; the Moon's share of the mass"""
 
 
