@@ -89,7 +89,7 @@ def main() -> None:
             "# Published orbits", "",
             "Found and certified from the digits that papers print, by `find_orbit` with default settings and without "
             "pins; what moved is relative to the largest component. Written by `benchmarks/published.py`, with the "
-            "sources; the digits are in `benchmarks/published.csv`.", "",
+            "sources; the digits are in `benchmarks/published.csv`. A search takes at most half a minute.", "",
         ]  # fmt: skip
         PAGE.write_text("\n".join([*note, *told, "", *head, *lines, ""]), encoding="utf-8")
 
