@@ -31,15 +31,21 @@ class Code(str):
 
 def python_form(loaded: ProblemFile) -> str:
     """The program, one statement a line (a formatter wraps them); of a file without a guess it ends with the model."""
-    system = loaded.document["system"]
+    system, document = loaded.document["system"], dict(loaded.document)
+    if "catalogue" in document.get("guess", {}):  # a row of it, as a file would state it
+        guess = loaded.wanted.guess
+        document |= {
+            "guess": {"state": guess.state.tolist(), "period": guess.period},
+            "name": loaded.name,
+        }
     lines = ["import orbitfinder as of"]
     if needs_description(system):
         lines.append("from orbitfinder.mechanics.kind import build_model")
     lines += ["", f"model = {system_call(system)}"]
     if loaded.problem is not None:
         lines += [
-            *guess_lines(loaded.document["guess"], loaded.model),
-            *problem_lines(loaded.document),
+            *guess_lines(document["guess"], loaded.model),
+            *problem_lines(document),
         ]
     return "\n".join(lines) + "\n"
 
