@@ -64,6 +64,7 @@ REFUSED = {
     "name": ("name,theta1,period\n../a,1,2\n", [], "row 1"),
     "period": ("theta1\n1\n", [], "row '1' has no period; add a column period in s"),
     "negative": ("theta1,period\n1,-2\n", [], "row '1' has no period"),
+    "many": ("theta1,period\n" + "1,2\n" * 1001, [], "has 1001 rows, the limit is 1000; divide it"),
     "other": ("name,theta1,period\na,1,2\n", ["b"], "no row 'b'; it has a"),
 }  # fmt: skip
 
@@ -79,8 +80,10 @@ def test_what_is_wrong_is_named(case, tmp_path):
 
 def test_other_files_have_no_rows(tmp_path):
     """A row of a file without a catalogue, one outside of the folder, one that is missing or is no text."""
-    with pytest.raises(InputError, match="guess.catalogue: missing, so that there is no row 'a'"):
+    with pytest.raises(InputError, match="guess.catalogue: missing, so there is no row 'a'"):
         load_problem_file(f"{FILE.with_name('figure-eight.toml')}#a")
+    with pytest.raises(InputError, match="only a .toml file has a catalogue"):
+        load_problem_file(f"{FILE.with_name('lure.py')}#a")
     for named, said in (("../rows.csv", "lies outside"), ("none.csv", "no such file")):
         file = tmp_path / "swing.toml"
         file.write_text(SWING.replace("rows.csv", named))

@@ -76,7 +76,7 @@ def test_what_only_long_double_closes_is_found_and_refused():
 @pytest.mark.slow
 def test_what_no_precision_closes_is_said():
     """Errors on the way of butterfly IV grow to more than the motion; every method says why it stopped."""
-    said = r"(?s)mirror-Rx-Ry: .* grow \de\+1\d times, for which .*; Newton.s .*, symmetry none: .*; IPOPT: "
+    said = r"(?s)mirror-Rx-Ry: .* grow \de\+1\d times, so double .*; Newton.s .*, symmetry none: .*; IPOPT: "
     with pytest.raises(ConvergenceError, match=said):
         of.find_orbit(printed("butterfly IV", 0.350112, 0.079339, 79.475859))
 

@@ -14,7 +14,6 @@ from orbitfinder.systems import three_bodies
 t, y, free = ca.SX.sym("t"), ca.SX.sym("y", 4), ca.SX.sym("free")
 KEPLER = ca.Function("kepler", [t, y, free], [ca.vertcat(y[2:], -free * y[:2] / ca.norm_2(y[:2]) ** 3)])
 FORCED = ca.Function("forced", [t, y], [ca.vertcat(y[1], -y[0], ca.cos(t), 1 / (y[3] + 2))])
-deep = pytest.mark.skipif(extended(vector_field(FORCED)) is None, reason="no compiler, or no wider long double")
 BUTTERFLY = np.array(
     [
         1.999998859153095,
@@ -31,7 +30,13 @@ PERIOD = 7.003703608035741
 """Butterfly II of Suvakov and Dmitrasinovic, as found here from its printed digits"""
 
 
-@deep
+@pytest.fixture
+def deep():
+    if extended(vector_field(FORCED)) is None:
+        pytest.skip("no compiler, or no wider long double")
+
+
+@pytest.mark.usefixtures("deep")
 def test_exact_solutions():
     """An oscillator, a quadrature of the time and y' = 1 / (y + 2) over a span that does not begin at 0."""
     begin, end = np.longdouble(0.25), np.longdouble(3.0)
@@ -42,7 +47,7 @@ def test_exact_solutions():
     assert np.abs(found - exact).max() < 200 * ROUND_OFF
 
 
-@deep
+@pytest.mark.usefixtures("deep")
 @pytest.mark.parametrize("eccentricity", [0.0, 0.5, 0.99])
 def test_a_motion_comes_back(eccentricity):
     """Round a Kepler ellipse (a = 1, attraction 2) and back, past a centre at 1 - e: errors grow by 1 / (1 - e)^2."""
@@ -54,7 +59,7 @@ def test_a_motion_comes_back(eccentricity):
     assert np.abs(again - start).max() < 1e3 * ROUND_OFF / (1 - eccentricity) ** 2
 
 
-@deep
+@pytest.mark.usefixtures("deep")
 def test_a_collision_is_refused():
     """Steps into the centre become too short."""
     with pytest.raises(IntegrationError, match="too small in long double"):
@@ -67,7 +72,7 @@ def butterfly(off: float = 0.0) -> Evidence:
 
 
 @pytest.mark.slow
-@deep
+@pytest.mark.usefixtures("deep")
 def test_round_off_past_encounters_hides_nothing():
     """In double precision the butterfly is known to 3e-9 only, for 1e-9, and its flow is kept to 4e-8."""
     with compiling("off"):
@@ -80,7 +85,7 @@ def test_round_off_past_encounters_hides_nothing():
 
 
 @pytest.mark.slow
-@deep
+@pytest.mark.usefixtures("deep")
 def test_a_start_beside_the_orbit_is_as_far_as_it_is():
     """Orbits beside it are nearer by the share of the step that leads along their family; nothing false passes."""
     near, far = butterfly(-1e-7).closes.distance, butterfly(1e-6).closes.distance
@@ -88,7 +93,7 @@ def test_a_start_beside_the_orbit_is_as_far_as_it_is():
 
 
 @pytest.mark.slow
-@deep
+@pytest.mark.usefixtures("deep")
 def test_what_long_double_cannot_integrate_is_judged_in_double(monkeypatch):
     """As it was before there was any, and not refused for it."""
     known = butterfly()

@@ -2,8 +2,10 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -17,6 +19,7 @@ from orbitfinder.integrate.dop853 import integrate
 from orbitfinder.integrate.equations import accelerations
 from orbitfinder.integrate.field import vector_field as second
 from orbitfinder.mechanics.model import vector_field
+from orbitfinder.show.sections import _limits
 from orbitfinder.structures.crossings import FINE, Crossings, Plane
 from orbitfinder.structures.frequencies import frequency_table
 from orbitfinder.structures.sections import section, surface
@@ -363,3 +366,13 @@ def test_a_section_has_a_page_of_its_own(swing, tmp_path):
     done = CliRunner().invoke(cli, ["page", *map(str, files), "-o", str(tmp_path / "site")])
     assert done.exit_code == 0, done.output
     assert list((tmp_path / "site" / "sections").glob("*.html"))
+
+
+@pytest.mark.parametrize("place", [0.0, 3.0, 1e17, -1e300])
+def test_a_single_place_has_room_around_it(place):
+    """Limits that are equal to round-off were a warning of Matplotlib's: a unit is none beside 1e17."""
+    axes, points = plt.figure().add_subplot(), np.array([place, 0.0])
+    _limits(axes, of.chain(1), ("theta1dot", "theta1"), None, [SimpleNamespace(reach=lambda _: (points, points))], [])
+    low, high = axes.get_xlim()
+    assert low < place < high
+    plt.close(axes.figure)

@@ -25,6 +25,7 @@ from orbitfinder.cli.options import trusted
 from orbitfinder.errors import InputError, LimitError, OrbitfinderError, plural
 from orbitfinder.records.certificate import Certificate, certified
 from orbitfinder.records.orbit import Orbit, save_orbit
+from orbitfinder.records.reading import parted
 from orbitfinder.records.registry import kind_of, load, load_orbit, member, taken
 
 if TYPE_CHECKING:
@@ -145,8 +146,7 @@ def _gone_if_empty(folder: Path) -> None:
 
 def run_job(job: ProblemJob, shown: Display | None = None) -> Outcome:
     """Find, certify and write one orbit. Raises `InputError` only; the rest is an Outcome."""
-    import numpy as np
-
+    from orbitfinder._runtime.sizes import relative
     from orbitfinder.atlas.choose import solve
     from orbitfinder.problemfile.read import load_problem_file
 
@@ -164,12 +164,10 @@ def run_job(job: ProblemJob, shown: Display | None = None) -> Outcome:
         return Outcome(job.name, str(job.file), "failed", one_line(error), time.perf_counter() - began)
     try:
         outcome, guess = _written(job, orbit, problem.model, began), problem.guess
-        if job.file.exists():
+        if not parted(job.file)[1]:
             return outcome
-        far = max(
-            np.abs(orbit.state - guess.start).max() / np.abs(guess.start).max(), abs(orbit.period / guess.period - 1)
-        )
-        return replace(outcome, moved=float(far))
+        off = relative(orbit.period - guess.period, guess.period) if guess.period else 0.0
+        return replace(outcome, moved=max(relative(orbit.state - guess.start, guess.start), off))
     except OSError as error:
         raise InputError(
             f"--out: cannot write in {job.out / job.name} ({error}); free some space or choose another folder"

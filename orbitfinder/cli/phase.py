@@ -11,6 +11,7 @@ from orbitfinder.cli.jobs import explained, folder_of, named_orbits, orbit_and_m
 from orbitfinder.cli.options import FILES, SYSTEM_TRUST, finish, option, picked, text, usual
 from orbitfinder.cli.section import MODULES, limits
 from orbitfinder.records.certificate import certified
+from orbitfinder.records.reading import parted
 
 
 @click.command()
@@ -53,7 +54,7 @@ def phase_plane(files: tuple[Path, ...], ranges: tuple[str, ...], out: Path, tru
     from orbitfinder.problemfile.read import load_problem_file
     from orbitfinder.show.style import save_all
 
-    asked = [file for file in files if Path(str(file).partition("#")[0]).suffix in (".toml", ".py")]
+    asked = [file for file in files if parted(file)[0].suffix in (".toml", ".py")]
     problems = [load_problem_file(file, trust) for file in asked]
     drawn = named_orbits([file for file in files if file not in asked], trust)
     name, model = (problems[0].name, problems[0].model) if problems else (drawn[0][1].name, drawn[0][2])

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from orbitfinder.cli.options import FILES, finish, json_option, text
+from orbitfinder.records.reading import parted
 from orbitfinder.records.registry import answers_of, held, kinds, shown
 
 
@@ -31,7 +32,7 @@ def show(files: tuple[Path, ...]) -> None:
     """
     results = []
     for file in files:
-        if Path(str(file).partition("#")[0]).suffix in (".toml", ".ode", ".xml", ".sbml"):
+        if parted(file)[0].suffix in (".toml", ".ode", ".xml", ".sbml"):
             from orbitfinder.problemfile.read import load_problem_file
 
             facts = load_problem_file(file).facts

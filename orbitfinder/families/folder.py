@@ -54,6 +54,7 @@ from orbitfinder.records.family import (
 )
 from orbitfinder.records.journal import begin_journal, refuse_other
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.reading import parted
 from orbitfinder.records.registry import load_orbit
 
 EFFORT = 1.0
@@ -215,7 +216,7 @@ def _kept(folder: Path, request: Mapping[str, Any]) -> Journal | None:
 
 def _read(path: str | Path) -> Orbit:
     """The orbit of a file; `InputError` says what makes an origin of other files."""
-    if Path(str(path).partition("#")[0]).suffix in (".toml", ".py"):
+    if parted(path)[0].suffix in (".toml", ".py"):
         raise InputError(f"origin: {path} is a problem file; give its Problem: load_problem({str(path)!r})")
     return load_orbit(path)
 

@@ -26,6 +26,8 @@ from orbitfinder.mechanics.scales import extents
 from orbitfinder.orbits.between import early_return, overlooked
 from orbitfinder.orbits.closure import LARGEST_SCALE, ROUND_OFF, shift, shift_along
 from orbitfinder.orbits.evidence import (
+    CLOSED,
+    KEPT,
     VARIED,
     Evidence,
     Recomputed,
@@ -99,13 +101,13 @@ class Tolerances:
     A record's own `tolerance` may ask for a smaller closure than this, not for a larger one.
     """
 
-    closure: float = 1e-12
+    closure: float = CLOSED
     distance: float = 1e-9
     second_closure: float = 1e-9
     energy_drift: float = 1e-11
     cover: float = 1e-6
     motion: float = 1e-6
-    trivial: float = 1e-8
+    trivial: float = KEPT
     symplectic: float = 1e-8
     unfolding: float = 1e-9
     record: float = 1e-10

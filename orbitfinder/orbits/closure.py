@@ -64,14 +64,14 @@ class Closure:
 
 def closes(
     gap: np.ndarray, transitions: Sequence[np.ndarray], states: np.ndarray, rate: np.ndarray | None,
-    kept: np.ndarray | None = None, basis: np.ndarray | None = None, known: float = EPSILON,
+    kept: np.ndarray | None = None, basis: np.ndarray | None = None, precise: float = EPSILON,
 ) -> Closure:  # fmt: skip
     """The `Closure` of a loop from its gap (m), the state-transition matrices of its pieces, its states (k x m), and
     f T (m) or None, or whatever else may be corrected (m x k).
 
     All in extents of the motion; `rate` is None where the period is prescribed. Components that nothing else drives
     close by themselves, to their own A. With the gradients (k x m) of what is `kept` the period's error is told.
-    `basis` (m x r) spans what constraints leave, `known` is the round-off of the integration.
+    `basis` (m x r) spans what constraints leave, the integration is `precise` to this.
     """
     sizes = np.maximum(np.abs(states).max(axis=0), 1.0)  # of the components, R
     whole = carried(transitions, sizes)
@@ -85,7 +85,7 @@ def closes(
     stays = (np.reshape(transitions, (-1, *unit.shape)) == unit).all(axis=(0, 2)) & (states == states[0]).all(axis=0)
     free, basis = unit[stays & (gap == 0)], unit if basis is None else basis
     frame = basis @ complement(free @ basis, (free if kept is None else kept) @ basis)
-    off, across = distance(frame.T @ gap, (-frame.T, frame.T), transitions, states, rate, known)
+    off, across = distance(frame.T @ gap, (-frame.T, frame.T), transitions, states, rate, precise)
     late = (0.0, 0.0)
     if kept is not None and rate is not None:
         late = _late(gap, transitions, sizes, whole[1], np.vstack([rate, kept]), basis)

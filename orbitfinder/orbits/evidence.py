@@ -499,8 +499,9 @@ def gather(
     if motion_of is canonical_motion and units.size <= MOST and loop.closes.distance < FALSE and _rounded(loop):
         with suppress(IntegrationError):
             motion = _sharpened(model, motion, units)
-        path, states = motion.path[at], motion.states[at]
-        loop = _looped(model, motion, units, path, period)
+            if motion.missed is not None:
+                path, states = motion.path[at], motion.states[at]
+                loop = _looped(model, motion, units, path, period)
     # the largest |Phi(t, s)| between the ends of any two pieces, and the largest |Phi(T, t)| |Phi(t, 0)|
     count, size = len(loop.pieces), len(loop.pieces[0])
     norms, wholes = np.ones((count + 1, count + 1)), np.empty((0, size, size))

@@ -50,7 +50,7 @@ from orbitfinder.mechanics.scales import lengths
 from orbitfinder.mechanics.scales import units_of as measured_in
 from orbitfinder.orbits import closure
 from orbitfinder.orbits.certify import certified
-from orbitfinder.orbits.evidence import in_extents
+from orbitfinder.orbits.evidence import MOST, in_extents
 from orbitfinder.orbits.hybrid import carried, first_unknowns, hybrid_orbit
 from orbitfinder.orbits.measure import (
     RESOLVED,
@@ -75,9 +75,8 @@ NEAR = 1e-8
 """Share of the motion by which an integration over the whole period may miss its end"""
 ROUGH, FINE, ROUNDS = NewtonSettings(converged=1e-7), NewtonSettings(converged=1e-13), 8
 """How a single segment is closed, on so many meshes at most, and on the last of twice as many steps"""
-FAINT, FEW = 1e-10, 16
-"""Rows in long double of an orbit that double precision does not close; components of a state whose variations are
-integrated in it"""
+FAINT = 1e-10
+"""Rows in long double of an orbit that double precision does not close"""
 GROWN = 1e8
 """Growth of errors beyond which round-off of double precision is more than what a rough correction may be"""
 NODES = 8
@@ -243,7 +242,7 @@ class Refiner(Shown):
         whole = sampled_period(problem, equal, samples)
         assert self.flow is not None
         place, transitions, size = replace(w, unfolding=refined.unfolding), path.transitions, equations.size
-        wide = in_long_double(variational_field(self.flow.field)) if size <= FEW else None
+        wide = in_long_double(variational_field(self.flow.field)) if size <= MOST else None
         if wide is not None:
             unit, more = nonzero(np.ptp(states, axis=0)), np.zeros((place.tail.size - 1) * size)
             measures = np.concatenate([unit, (unit[:, None] / unit).ravel("F"), more + 1.0])
@@ -299,9 +298,9 @@ class Refiner(Shown):
                     return self._checked(sharp.on(divided(sharp.mesh, 2)), residual, newton, pins, units)
                 steps = replace(w, nodes=p.march.states(w.nodes, w.mesh, w.tail)[:-1])
                 grown = closure.carried(
-                    in_extents([*p.varied(steps).transitions[..., : units.size]], units), 0 * units + 1
+                    in_extents([*p.varied(steps).transitions[..., : units.size]], units), np.ones(units.size)
                 )[1]
-                lost = f"errors made under way grow {grown:.1g} times, for which double precision has too few digits"
+                lost = f"errors made on the way grow {grown:.1g} times, so double precision has too few digits"
                 raise ConvergenceError(
                     "damped Newton steps lead nowhere from this guess (a correction of "
                     f"{solved.size:.2g} of the motion is left); " + (lost if grown > GROWN else "start nearer")

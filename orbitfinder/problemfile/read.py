@@ -55,9 +55,9 @@ from orbitfinder.problemfile.schema import (
 from orbitfinder.problemfile.xpp import xpp_document
 from orbitfinder.records.codec import outline
 from orbitfinder.records.orbit import SHIFT
-from orbitfinder.records.reading import Entries, bounded, file_beside, file_bytes
+from orbitfinder.records.reading import Entries, bounded, file_beside, file_bytes, parted
 
-MANUAL, TOML = "docs/problem-file.md", ".toml"
+MANUAL, TOML, MOST_ROWS = "docs/problem-file.md", ".toml", 1000
 
 
 @dataclass(frozen=True)
@@ -140,8 +140,9 @@ def load_problem(path: str | Path, trust: bool = False) -> Problem:
 def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
     """A problem file with everything in it (see `ProblemFile`); FILE#NAME a row of its catalogue, else the first.
     Raises `InputError`."""
-    file, _, row = str(path).partition(f"{TOML}#")
-    source = Path(f"{file}{TOML}" if row else path)
+    source, row = parted(path)
+    if row and source.suffix != TOML:
+        raise InputError(f"{path}: only a {TOML} file has a catalogue with rows; give {source} alone")
     if source.suffix == ".py":
         return _load_python(source, trust)
     others = {".ode": xpp_document, ".xml": sbml_document, ".sbml": sbml_document}
@@ -226,7 +227,7 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
         row = row or next(iter(rows))
         name, (model, start) = f"{name}-{row}", _catalogued(rows, row, model, start)
     elif row:
-        raise InputError(f"guess.catalogue: missing, so that there is no row {row!r}; give {source} alone")
+        raise InputError(f"guess.catalogue: missing, so there is no row {row!r}; give {source} alone")
     # a state alone is what equilibria start from: no period is given and nothing drives it
     if start and not (start.state is not None and start.period is start.duration is model.forcing_period is None):
         guess = replace(guess_from_table(start, model, source.parent), free=start.free)
@@ -418,6 +419,8 @@ def read_catalogue(folder: Path, name: str) -> dict[str, dict[str, float]]:
             raise InputError(f"{where}: {error}; give numbers separated by commas") from error
         if not np.isfinite([*rows[row].values()]).all():
             raise InputError(f"{where} must be finite; replace NaN and infinity by numbers")
+    if len(rows) > MOST_ROWS:
+        raise InputError(f"guess.catalogue: {name!r} has {len(rows)} rows, the limit is {MOST_ROWS}; divide it")
     if not rows:
         raise InputError(f"guess.catalogue: {name!r} has no rows; give a header and a row for each orbit")
     return rows

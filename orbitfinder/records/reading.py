@@ -92,6 +92,12 @@ def file_beside(folder: Path, name: str, where: str) -> Path:
     return source
 
 
+def parted(path: str | Path) -> tuple[Path, str]:
+    """FILE and WORD of FILE#WORD; no word where there is none, or where a file has that very name."""
+    name, mark, word = Path(path).name.rpartition("#")
+    return (Path(path).with_name(name), word) if name and mark and not Path(path).exists() else (Path(path), "")
+
+
 def file_head(path: Path, size: int) -> bytes:
     """The first bytes of a regular file, or `InputError`."""
     with _opened(path, "result file") as stream:

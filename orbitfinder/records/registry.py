@@ -19,7 +19,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.records.codec import outline
 from orbitfinder.records.family import load_family
 from orbitfinder.records.orbit import Orbit, orbit_from_document, read_orbit
-from orbitfinder.records.reading import Entries, file_head
+from orbitfinder.records.reading import Entries, file_head, parted
 
 DATABASES = (".sqlite", ".sqlite3", ".db")
 OURS = re.compile(rb'\s*(?:(\[)\s*[{\]]|\{[^\[{]*?"format"\s*:\s*"orbitfinder/([\w-]+)")')
@@ -107,12 +107,12 @@ def _format(file: Path) -> str:
 
 def member(path: str | Path) -> tuple[Path, int | None]:
     """The file and the number in FILE#K; no number where there is none, or where a file has that very name."""
-    name, mark, number = Path(path).name.rpartition("#")
-    if not mark or Path(path).exists():
-        return Path(path), None
+    file, number = parted(path)
+    if file == Path(path):
+        return file, None
     if not (number.isascii() and number.isdigit()):
-        raise InputError(f"{path}: #{number}: not a whole number from 0; give FILE#K, such as {name}#0")
-    return Path(path).with_name(name), int(number)
+        raise InputError(f"{path}: #{number}: not a whole number from 0; give FILE#K, such as {file.name}#0")
+    return file, int(number)
 
 
 def held(path: str | Path) -> tuple[str, Kind]:
