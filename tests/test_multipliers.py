@@ -235,6 +235,7 @@ def test_normal_modes_up_to_their_saddles(name, tmp_path):
         assert point.multiplier_errors.shape == point.floquet_multipliers.shape
         assert point.multiplier_errors.max() < 1e-6 and point.pair_defect < 1e-6
     found = [(one.kind, one.order, one.period) for one in family.events]
-    for event in known.events:
-        assert any(kind == event.kind and order == event.order and abs(period - event.period) < 1e-6
+    for event in known.events:  # an avoided crossing is a minimum of a distance: known to the root of what a root is
+        near = 1e-5 if event.kind == "avoided_crossing" else 1e-6
+        assert any(kind == event.kind and order == event.order and abs(period - event.period) < near
                    for kind, order, period in found)  # fmt: skip

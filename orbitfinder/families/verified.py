@@ -132,7 +132,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
             looks = [Probe(curve, _corrected(curve, solution, whole, d, 0.5 * step, slope)) for d in shares]
             before, middle, after = looks[outer : len(looks) - outer]
             far = looks[:: len(looks) - 1] if outer else ()
-            tried = Sides(before, here, middle, after, share * step, step, far, parameter, share == SHARES[-1][0])
+            tried = Sides(before, here, middle, after, share * step, step, far, parameter)
             result = kind.check(tried, event)
             check(f"EventKind {event.kind!r}, check", "Reading", result)
         except (ConvergenceError, IntegrationError) as error:
@@ -143,9 +143,6 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
             break
     if sides is None:
         raise said
-    if sides.outer and not (result.passed or sides.farthest):  # nothing farther could be corrected
-        sides = replace(sides, farthest=True)
-        result = kind.check(sides, event)
     return replace(result, criticality=kind.side(sides, event)) if result.passed else result
 
 
