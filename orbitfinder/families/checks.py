@@ -300,6 +300,11 @@ class Sides:
             signs.append(float(np.prod([np.linalg.slogdet(np.vstack([matrix, row]))[0] for row in rows])))
         return signs[0], signs[1]
 
+    def turns(self, name: str) -> bool:
+        """Whether a quantity is extremal at the event."""
+        low, high = self.rises(name)
+        return low * high < 0
+
 
 def _as(look: Probe, about: Any) -> Probe:
     """The same orbit with another map."""
@@ -320,7 +325,11 @@ def check_passage(sides: Sides, event: Event) -> Reading:
     levels = [level for level, *kind, mu in known if tuple(kind) == told and abs(mu - event.multiplier) < ALIKE]
     if not levels:
         raise Refuted(f"its multiplier {event.multiplier:.6g} and order {event.order} are of another kind")
-    if KINDS[event.kind].crosses and event.multiplier.real > 0 and np.prod(sides.rises(_parameter(sides.here.curve))) < 0:
+    if (
+        KINDS[event.kind].crosses
+        and event.multiplier.real > 0
+        and np.prod(sides.rises(_parameter(sides.here.curve))) < 0
+    ):
         raise Refuted("the family turns there, so that nothing else leads through it")
     if KINDS[event.kind].crosses and event.multiplier.real > 0 and not here.conservative and not sides.crossed:
         raise Refuted("no other family leads through it")
@@ -334,7 +343,8 @@ def _parameter(curve: Curve) -> str:
 
 def check_fold(sides: Sides, event: Event) -> Reading:
     """A multiplier at +1, and the parameter turns."""
-    if event.detail not in ("energy", *sides.here.curve.equations.physical):
+    curve = sides.here.curve
+    if event.detail not in {"energy", *curve.equations.physical} - {condition.name for condition in curve.kept}:
         raise Refuted(f"{event.detail or 'nothing'} is no parameter that folds")
     return _turned(sides, event.detail)
 
@@ -350,7 +360,7 @@ def _turned(sides: Sides, parameter: str) -> Reading:
     if passage.passed and (turn := sides.turning(parameter)).passed:
         return _nearer(passage, turn)
     passage = sides.zero(level, within=DOUBTFUL)
-    return replace(passage, passed=passage.passed and np.prod(sides.rises(parameter)) < 0)
+    return replace(passage, passed=passage.passed and sides.turns(parameter))
 
 
 def _nearer(first: Reading, second: Reading) -> Reading:

@@ -106,7 +106,7 @@ SETTLED = 1e-6
 """Equilibria and eigenvalues at such an end are known to this, relative"""
 SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (2e-1, 1), (5e-1, 1), (1.0, 1))
 """How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
-ones where two events share a step, the farthest where a parameter hardly moves beyond its round-off, as in a canard"""
+ones where two events share a step, the farthest where multipliers hardly move, as in a canard"""
 _Member = TypeVar("_Member", FamilyPoint, Event)
 STEPS = 480
 """Steps of a period on which an orbit is marched of which the nodes are not known"""
