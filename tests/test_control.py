@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -118,6 +119,33 @@ def test_a_description_with_motors_is_rebuilt() -> None:
     assert made.controls == ("stiffness",) and made.limits == {"stiffness": (1.0, 9.0)}
 
 
+def test_controls_of_equations_as_text() -> None:
+    """Of rates, a Hamiltonian and a Lagrangian: as of Python functions, rebuilt from their description."""
+    values, limits = {"push": 0.0, "k": 1.0}, {"push": [-1.0, 4.0]}
+    texts: list[dict[str, Any]] = [
+        {"rates": {"q": "v", "v": "push - k*q"}},
+        {"hamiltonian": "v^2/2 + k*q^2/2 - push*q", "coordinates": ["q"], "momenta": ["v"]},
+        {"kinetic": "qdot^2/2", "potential": "k*q^2/2", "forces": {"q": "push"}, "coordinates": ["q"]},
+    ]
+    for text in texts:
+        model = of.equations(parameters=values, controls=limits, **text)
+        again = build_model(model.system)
+        assert again.controls == model.controls == ("push",) and again.limits == model.limits == {"push": (-1.0, 4.0)}
+        assert driven_field(again, np.array([0.5, 2.0]), np.array([3.0]))[1] == pytest.approx(2.5)
+        assert model.conservative == ("rates" not in text) and not actuated(model).conservative
+    endless = of.equations(texts[0]["rates"], values, controls={"push": np.inf})
+    assert endless.limits == {"push": (-np.inf, np.inf)}
+
+
+@pytest.mark.slow
+def test_a_stirred_tank_as_text() -> None:
+    """Two parallel reactions, 40 held values: more than the steady optimum; 0.0929 is what is to be reached."""
+    problem = of.load_problem(Path(__file__).parents[1] / "problems" / "control" / "stirred-tank.toml")
+    orbit = of.find_orbit(problem)
+    assert orbit.certificate is not None and orbit.certificate.passed and orbit.control is not None
+    assert orbit.control["cost"] < -0.0929
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -127,6 +155,14 @@ def test_a_description_with_motors_is_rebuilt() -> None:
         (lambda: of.chain(2, motors=[1], limits={"torque1": [2.0, 1.0]}), "must be a positive number or"),
         (lambda: of.chain(2, motors=[1], limits={"torque1": -2.0}), "must be a positive number or"),
         (lambda: with_controls(of.chain(2), ["torque"]), "controls: 'torque' is no physical parameter"),
+        (
+            lambda: of.equations({"x": "u - x"}, {"u": 1.0}, controls={"w": 2.0}),
+            "controls: 'w' is no physical parameter; known are u",
+        ),
+        (
+            lambda: of.equations({"x": "u - x"}, {"u": 1.0}, controls={"u": [2.0, 1.0]}),
+            "limits.u: must be a positive number or [lowest, highest], got [2.0, 1.0]",
+        ),
         (lambda: with_controls(of.chain(2), "mass1"), "must be a list of names"),
         (lambda: with_controls(of.chain(2), ["mass1", "mass1"]), "is named twice"),
         (

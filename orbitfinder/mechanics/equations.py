@@ -15,6 +15,7 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import checked
 from orbitfinder.errors import InputError, closest, shortened
+from orbitfinder.mechanics.controls import Limits, with_controls
 from orbitfinder.mechanics.expression import FUNCTIONS, expression
 from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
 from orbitfinder.mechanics.hybrid import Transition, changed, hybrid
@@ -57,6 +58,7 @@ def equations(
     events: Mapping[str, Mapping[str, Any]] | None = None,
     cycle: Sequence[str] = (),
     left_out: Sequence[str] = (),
+    controls: Limits | None = None,
     angles: Sequence[str] = (),
     period: str | float | None = None,
     units: Mapping[str, str] | None = None,
@@ -84,6 +86,7 @@ def equations(
             the guard rises (1) or falls (-1) through 0 the states of `reset` get these values of the state before.
         cycle: names of the events of one period in their order, those of the guess's motion when left out.
         left_out: what a file from elsewhere says beside this, in words; nothing is made of it.
+        controls: parameters that may vary in time, each with its greatest magnitude or [lowest, highest]; inf without.
         angles: states or coordinates that may turn.
         period: of the explicit dependence on the time, a number or a text of parameters such as "2*pi/omega".
         units: words for time, length, mass, angle, or a state or parameter by name ("ms", "mV"); nothing is converted.
@@ -120,7 +123,8 @@ def equations(
     make: dict[str, Callable[..., Model]] = {
         "rates": partial(_first_order, find_invariants), "hamiltonian": _hamiltonian, "kinetic": _lagrange
     }  # fmt: skip
-    return with_units(make[form](given, names), units)
+    made = make[form](given, names)
+    return with_units(with_controls(made, [*controls], controls) if controls else made, units)
 
 
 def _plain(value: Any) -> Any:
@@ -320,7 +324,7 @@ def _lagrange(given: Table, names: Sequence[str]) -> Model:
     return lagrange(
         ca.SX(read(given["kinetic"], "kinetic")), ca.SX(read(given.get("potential", "0"), "potential")), symbols,
         forces=ca.vertcat(*acting) if forces else None, names=names,
-        angles=[name in given.get("angles", ()) for name in names], system=given,
+        angles=[name in given.get("angles", ()) for name in names], system=given, controls=[*given.get("controls", ())],
     )  # fmt: skip
 
 
