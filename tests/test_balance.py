@@ -9,7 +9,8 @@ import pytest
 from click.testing import CliRunner
 from scipy import sparse
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq, linear_sum_assignment
+from scipy.linalg import eigh
+from scipy.optimize import brentq, linear_sum_assignment, root
 from scipy.special import ellipk
 
 import orbitfinder as of
@@ -21,12 +22,14 @@ from orbitfinder.families.happening import facts
 from orbitfinder.families.members import extents
 from orbitfinder.families.verified import verified
 from orbitfinder.integrate.residual import Residual
+from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.orbits import harmonics, hill, implicit
 from orbitfinder.orbits.balance import begun, states_of
 from orbitfinder.orbits.decay import decay
 from orbitfinder.orbits.hill import exponents
 from orbitfinder.orbits.implicit import gathered
+from orbitfinder.orbits.method import method_of
 
 ROAD = {entry["id"]: entry for entry in json.loads((Path(__file__).parent / "data" / "road.json").read_text())}
 BALANCE = of.SolveSettings(method="balance")
@@ -705,3 +708,71 @@ def test_what_is_told_apart_too_narrowly_is_known_to_be_off():
         part, off = local.whole(after(local.begin(units)), units)
         wrong = np.abs(part - whole).max()
         assert wrong <= most and 0.05 * wrong <= off <= max(20 * wrong, 1e-14)
+
+
+def steel(nodes):
+    """M and K of a clamped steel beam by Hermite's elements: 700 x 14 x 14 mm (Ecole centrale's benchmark)."""
+    side, length, count = 0.014, 0.7 / (nodes - 1), 2 * nodes
+    bent, heavy = 2.05e11 * side**4 / 12 / length**3, 7800 * side**2 * length / 420
+    k = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4.0]])
+    m = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4.0]])
+    scale, whole = np.outer([1, length, 1, length], [1, length, 1, length]), np.zeros((2, count, count))
+    for j in range(0, count - 2, 2):
+        whole[:, j : j + 4, j : j + 4] += heavy * m * scale, bent * k * scale
+    return whole[:, 2:, 2:]
+
+
+def beam(nodes, tip=None):
+    """Its first free mode with a spring of 6e9 N/m^3 at its tip; from 0.1 mm, or that far at t = 0."""
+    mass, stiffness = steel(nodes)
+    name = f"q{2 * nodes - 3}"
+    spring = {"tip": {"kind": "cubic", "at": name, "stiffness": 6e9}}
+    model = of.structure(mass, np.zeros_like(mass), stiffness, spring)
+    guess = of.guesses.normal_mode(model, 1, tip or 1e-4)
+    return Problem(model, guess, of.pin(**{name: tip}) if tip else ())
+
+
+def own_balance(nodes, tip):
+    """The period of that motion: harmonics x_k of the tip obey x_k = -H(k w) f_k, f that of 6e9 x^3."""
+    (mass, stiffness), orders = steel(nodes), np.arange(1, 24, 2)
+    squares, shapes = eigh(stiffness, mass)
+    waves = np.cos(np.outer(2 * np.pi * np.arange(256) / 256, orders))
+
+    def rows(unknowns):
+        w, x = 150.0 * unknowns[0], tip * unknowns[1:]
+        force = 2 * waves.T @ (6e9 * (waves @ x) ** 3) / len(waves)
+        moved = (shapes[-2] ** 2 / (squares - (orders[:, None] * w) ** 2)).sum(axis=1)
+        return np.append(x.sum() / tip - 1, (x / moved + force) / (6e9 * tip**3))
+
+    first = np.eye(orders.size + 1)[:2].sum(axis=0)
+    if tip > 2e-4:  # from a smaller one
+        first[0] = 2 * np.pi / own_balance(nodes, 0.8 * tip) / 150.0
+    found = root(rows, first, tol=1e-14)
+    assert np.abs(found.fun).max() < 1e-10
+    return 2 * np.pi / (150.0 * found.x[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nodes", [2, 5, 20])
+def test_a_beam_of_steel_is_followed_to_two_millimetres(nodes):
+    """By default settings, whatever its elements: stiff ones by balance, as own balance of the tip alone has them."""
+    found = of.find_orbit(beam(nodes, 1e-3))
+    assert found.certificate.passed and found.period == pytest.approx(own_balance(nodes, 1e-3), rel=1e-9)
+    assert ("method_reason" in found.provenance) == (nodes > 2)
+    asked = None if nodes > 2 else "balance"  # shooting goes up the tongue of an internal resonance
+    settings = of.FamilySettings(directions="forward", points=600, method=asked, events=False)
+    watch = {"tip": f"max(q{2 * nodes - 3})"}
+    family = of.follow_family(beam(nodes), "energy", until=0.1, settings=settings, watch=watch)
+    assert family.ends[-1].kind == "target" and family.values("tip")[-1] > 2e-3
+
+
+def test_a_fast_mode_makes_a_free_motion_stiff():
+    """As of a beam: why is said; a record without multipliers that are no matter of steps is refused."""
+    asked = beam(5)
+    name, _, why = method_of(asked)
+    assert name == "balance" and why == "the fastest mode turns by 1703 rad in a period"
+    assert method_of(replace(asked, model=beam(2).model, guess=beam(2).guess))[0] == "shooting"
+    orbit = of.find_orbit(beam(2))
+    known = of.certify(orbit).passed, of.certify(replace(orbit, floquet_multipliers=np.zeros(0))).passed
+    off = replace(orbit, floquet_multipliers=np.zeros(0), stability="undecided", period=orbit.period * (1 + 1e-7))
+    assert (*known, of.certify(off).passed) == (True, False, False)

@@ -326,8 +326,9 @@ def test_a_file_without_equations_or_that_is_no_text(tmp_path):
 
 def test_a_problem_file_may_name_an_xppaut_file(tmp_path):
     """With other values of its parameters, at a time or with a period; what is found has the equations in it."""
-    (tmp_path / "a.ode").write_text("par a=-1, t0=5\nx'=y\ny'=a*x+heav(t-t0)\n")
-    text = '[system]\nkind = "xpp"\nfile = "a.ode"\ntime = 6.0\nparameters = { a = -4.0 }\n'
+    spiral = "r=heav(t-t0)*(1-x^2-y^2)\nx'=r*x-a*y\ny'=r*y+a*x\n"  # to a circle: of a centre which orbit is luck
+    (tmp_path / "a.ode").write_text("par a=-1, t0=5\n" + spiral)
+    text = '[system]\nkind = "xpp"\nfile = "a.ode"\ntime = 6.0\nparameters = { a = -2.0 }\n'
     text += "[guess]\nstate = [1.25, 0]\nperiod = 3\n"
     (tmp_path / "b.toml").write_text(text)
     made = command("run", tmp_path / "b.toml", "-o", tmp_path, "--no-figures")
@@ -335,7 +336,7 @@ def test_a_problem_file_may_name_an_xppaut_file(tmp_path):
     orbit = of.load_orbit(tmp_path / "b" / "orbit.json")
     assert orbit.period == pytest.approx(math.pi, rel=1e-12) and orbit.system["kind"] == "equations"
     assert command("show", tmp_path / "b.toml").exit_code == 0
-    for wrong, why in (("a = -4.0", "b = 1.0"), ("a.ode", "../a.ode"), ('"a.ode"', '"c.ode"'), ("time = 6.0\n", "")):
+    for wrong, why in (("a = -2.0", "b = 1.0"), ("a.ode", "../a.ode"), ('"a.ode"', '"c.ode"'), ("time = 6.0\n", "")):
         (tmp_path / "b.toml").write_text(text.replace(wrong, why))
         assert command("run", tmp_path / "b.toml", "-o", tmp_path).exit_code == 2
 

@@ -195,10 +195,16 @@ class _Marched:
         last = self.sample(after.point, first.indices)
         length, step = ahead(self.curve, first, last.solution), after.point.arclength - before.point.arclength
         interval = make_interval(self.curve, first, replace(last, distance=length))
-        located = [
-            event_at(self.curve, *each, self.settings.parameter) for each in find_events(interval, self.settings)
-        ]
-        batch = checked(self.curve, Batch(1, events=tuple(located)), length, self.settings.parameter)
+        name, located = self.settings.parameter, list[Event]()
+        try:
+            located = [event_at(self.curve, *each, name) for each in find_events(interval, self.settings)]
+        except (ConvergenceError, IntegrationError) as error:  # costs these events, not the family
+            said = (
+                f"between {name} = {before.record.value:.12g} and {after.record.value:.12g} events are unknown: {error}"
+            )
+            logging.getLogger(__name__).warning(said)
+            self.undecided += (said,)
+        batch = checked(self.curve, Batch(1, events=tuple(located)), length, name)
         self.undecided += batch.undecided
         batch = batch_certified(self.curve, batch) if self.settings.certify else batch
         if not self.curve.equations.model.forced:  # from here on in its own scales, of whatever size it is

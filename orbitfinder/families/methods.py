@@ -5,7 +5,7 @@ from orbitfinder.orbits import balance
 from orbitfinder.orbits.method import METHODS, Method
 
 METHODS[balance.NAME] = Method(
-    lambda problem: False,
+    balance.suits,
     balance.balanced,
     balance.refused,
     follow=followed,

@@ -16,12 +16,13 @@ from orbitfinder.integrate.residual import Residual
 from orbitfinder.loops.conditions import PHASE, Pin
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.problem import Guess, Problem, at_forcing_period
-from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, Solver, full
 from orbitfinder.mechanics.scales import parameter_sizes
 from orbitfinder.orbits.floquet import Floquet
 from orbitfinder.orbits.guesses.linear import linear_response
+from orbitfinder.orbits.guesses.modes import normal_modes
 from orbitfinder.orbits.guesses.settled import lap
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Fourier, Pattern, Phase, orders
 from orbitfinder.orbits.hill import exponents
@@ -31,8 +32,9 @@ from orbitfinder.records.orbit import Orbit
 
 FIRST, SHARES = (5, 11), (1.0, 0.5, -1.0, 1.5, -1.5, 0.25)
 """Highest orders that a guess is tried with; sizes of the linear response, in phase or not"""
-NAME, SAMPLES = "balance", 256
-"""Of the method. Equal times that a motion is recorded and its action summed at, at least"""
+NAME, SAMPLES, STIFF = "balance", 256, 1000.0
+"""Of the method; equal times that a motion is recorded and its action summed at, at least; radians that the
+fastest mode of a free motion may turn by in a period where steps are to follow it"""
 
 
 def refused(problem: Problem) -> str:
@@ -54,6 +56,15 @@ def refused(problem: Problem) -> str:
     if problem.free and not model.forced:
         return "it has freed parameters"
     return ""
+
+
+def suits(problem: Problem) -> str:
+    """Why balance is the method unasked, or nothing: a free motion beside which the fastest mode turns too often."""
+    model, turned = problem.model, 0.0
+    if not (model.forced or system_kind(model.system).pendulum or refused(problem)):
+        with suppress(InputError):
+            turned = float(np.sqrt(abs(normal_modes(model)[0][-1]))) * problem.guess.period
+    return f"the fastest mode turns by {turned:.0f} rad in a period" if turned > STIFF else ""
 
 
 def phase_of(problem: Problem) -> Phase | None:

@@ -627,14 +627,14 @@ def _undecided(orbit: Orbit, model: Model) -> str:
 def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
     """Largest relative distance between recorded and recomputed multipliers, matched one to one.
 
-    Of many coordinates few may be recorded.
+    Of many coordinates few may be recorded, of stiff ones none.
 
     Where mu and 1 / mu meet, at +1 and -1, both are known to the square root of what their sum is known to: there the
     sum is compared, of which mu - 1 / mu is the derivative, relative to `MEETING`.
     """
     recorded, found = orbit.floquet_multipliers, floquet.multipliers
     if recorded.size != found.size and not (recorded.size < found.size and orbit.state.size > 2 * SMALL):
-        return np.inf
+        return 0.0 if not recorded.size and orbit.stability == "undecided" else np.inf
     if not recorded.size:
         return 0.0
     largest = np.abs(found).max()
@@ -779,7 +779,11 @@ class _Nearby:
 
 VERIFIERS = {
     "smooth": Verifier(lambda orbit, model: True, _smoothly, _smooth_checks),
-    "large": Verifier(lambda orbit, model: suits(model) and not any(orbit.winding), _by_steps, _large_checks),
+    "large": Verifier(
+        lambda orbit, model: suits(model, orbit.floquet_multipliers.size) and not any(orbit.winding),
+        _by_steps,
+        _large_checks,
+    ),
     "impacts": Verifier(lambda orbit, model: not model.smooth, _through_impacts, _hybrid_checks, "events"),
 }
 """Every kind of motion by its name; others may join (`verifier_of` asks them all)"""

@@ -48,8 +48,8 @@ SETTLED, MOST, SLOW, SLOWER, WAVERS = 1e-15, 60, 0.7, 0.15, 4.0
 no longer contracts, or that asks for new factors; by how much changes that are round-off's differ"""
 RESOLVED, POWERS, FINEST, FREE, SMALL, ERROR = 1.5, 30, 512, 4096, 40, 1.74e-13
 """Radians of the fastest mode in a step of a driven motion, of others it is 1; iterations that find it, the most steps
-that follow it, of either; coordinates up to which motions are certified by explicit steps and all their variations; a
-step of z radians is off by this times z^13: 6!^2 / 12! 13!"""
+that follow it, of either, of few coordinates 16 times as many; coordinates up to which motions are certified by
+explicit steps and all their variations; a step of z radians is off by this times z^13: 6!^2 / 12! 13!"""
 TOLD, HIGHEST, TOGETHER, TAILS = 1e-10, 48, 8, 1e-14
 """Share of the largest harmonic of a motion that is none; as many as an energy is asked of; steps in which variations
 are carried together, and what they may be off by that are told apart again"""
@@ -308,7 +308,7 @@ class Implicit:
         n = self.residual.size
         slopes = self._slopes(np.zeros(1), state[None, :n], state[None, n:], np.zeros((1, n)))[:, 0]
         turned = self.linear.fastest(slopes) * period
-        wanted, most = (turned / RESOLVED, FINEST) if self.residual.names else (turned, FREE)
+        wanted, most = (turned / RESOLVED, FINEST) if self.residual.names else (turned, FREE * (1 + 15 * (n <= SMALL)))
         if wanted > most:
             return STEPS, np.inf
         wanted = max(wanted, STEPS)
@@ -342,12 +342,12 @@ class Implicit:
         return self.linear.over(h, slopes, whole)
 
 
-def suits(model: Model) -> bool:
-    """Whether a model's motions are certified so: driven and free ones of many coordinates, which may be stiff, but of
-    chains, whose masses are full matrices."""
+def suits(model: Model, known: int) -> bool:
+    """Whether a motion of which so many multipliers are recorded is certified so: driven and free ones of many
+    coordinates, or stiff, which have none; but of chains, whose masses are full matrices."""
     plain = model.smooth and model.scalar and model.constraint is None and model.rates is None
     alone = not model.invariants if model.forced else model.conservative and len(model.invariants) == 1
-    large = model.degrees_of_freedom > SMALL and not system_kind(model.system).pendulum
+    large = (not known or model.degrees_of_freedom > SMALL) and not system_kind(model.system).pendulum
     return bool(plain and alone and large)
 
 

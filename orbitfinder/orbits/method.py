@@ -72,6 +72,12 @@ def rescuer(problem: Problem, failed: str = SHOOTING) -> str | None:
     return next((key for key, each in METHODS.items() if key != failed and each.rescues(problem)), None)
 
 
+def follower(problem: Problem) -> str | None:
+    """The name of the method that suits a problem and follows families by itself, if any."""
+    filled("methods")
+    return next((key for key, each in METHODS.items() if each.follow and each.suits(problem)), None)
+
+
 def method_of(problem: Problem, asked: str | None = None) -> tuple[str, Method, str]:
     """The method for a Problem, its name, and why: the one `asked` for, else the latest entry that it suits, shooting
     where none does. Raises `InputError` for one that is unknown or not for this problem."""
