@@ -776,3 +776,14 @@ def test_a_fast_mode_makes_a_free_motion_stiff():
     known = of.certify(orbit).passed, of.certify(replace(orbit, floquet_multipliers=np.zeros(0))).passed
     off = replace(orbit, floquet_multipliers=np.zeros(0), stability="undecided", period=orbit.period * (1 + 1e-7))
     assert (*known, of.certify(off).passed) == (True, False, False)
+
+
+@pytest.mark.parametrize("covers", [2, 3])
+def test_a_motion_of_many_coordinates_gone_round_twice_is_refused(covers):
+    """Free ones and driven ones, which no check of their period looked at."""
+    for problem in (row(41, 21, 0.22), masses(41, 0.1, 0.3)):
+        orbit = of.find_orbit(problem, BALANCE)
+        again = replace(orbit, period=covers * orbit.period, action=covers * orbit.action, nodes=orbit.state[None],
+                        floquet_multipliers=orbit.floquet_multipliers**covers, times=np.zeros(0),
+                        samples=np.zeros((0, orbit.state.size)))  # fmt: skip
+        assert orbit.certificate.passed and "minimal_period" in of.certify(again).failures

@@ -49,7 +49,7 @@ from orbitfinder.orbits.hybrid import (
     turned_further,
     unseen,
 )
-from orbitfinder.orbits.implicit import SMALL, gathered, suits
+from orbitfinder.orbits.implicit import SMALL, STEPS, gathered, suits
 from orbitfinder.orbits.reduction import reduction
 from orbitfinder.records.certificate import Certificate, Check, at_least, at_most, equal, refused, same
 from orbitfinder.records.codec import entries_of
@@ -405,6 +405,16 @@ def _large_checks(trial: Trial) -> Iterator[Check | None]:
     yield near.time_dependence()
     yield from near.invariants()
     yield trial.moving()
+    waves = np.fft.rfft(seen.states[:-1], axis=0) / (len(seen.states) - 1)
+
+    def at(times: np.ndarray) -> np.ndarray:
+        turn = 2j * np.pi / orbit.period * np.outer(times, np.arange(len(waves)))
+        return np.asarray((2 * np.exp(turn) @ waves - waves[0]).real)
+
+    cycles = model.forcing_cycles(orbit.period) if model.forced else 0
+    if parts := [k for k in range(2, STEPS) if cycles % k == 0]:
+        back = np.abs((at(orbit.period / np.array(parts)) - seen.states[0]) / seen.extents).max(axis=1)
+        yield trial.apart("minimal_period", back.min(), f"nearest early return after T/{parts[back.argmin()]}")
     kinetic, potential = energies(model, seen.states)
     size, total = size_of(kinetic.max() + np.ptp(potential)), kinetic + potential
     if model.conservative:
@@ -420,10 +430,7 @@ def _large_checks(trial: Trial) -> Iterator[Check | None]:
     yield _same_symmetry(orbit, seen, model)
     yield trial.record()
     for name, times, states, share in _pictured(orbit):
-        waves = np.fft.rfft(seen.states[:-1], axis=0) / (len(seen.states) - 1)
-        turn = 2j * np.pi / orbit.period * np.outer(times, np.arange(len(waves)))
-        there = (2 * np.exp(turn) @ waves - waves[0]).real
-        yield trial.shown(name, np.abs((there - states) / seen.extents).max(), share, 1.0)
+        yield trial.shown(name, np.abs((at(times) - states) / seen.extents).max(), share, 1.0)
     yield from expected_checks(orbit, model)
 
 

@@ -347,7 +347,7 @@ def suits(model: Model, known: int) -> bool:
     coordinates, or stiff, which have none; but of chains, whose masses are full matrices."""
     plain = model.smooth and model.scalar and model.constraint is None and model.rates is None
     alone = not model.invariants if model.forced else model.conservative and len(model.invariants) == 1
-    large = (not known or model.degrees_of_freedom > SMALL) and not system_kind(model.system).pendulum
+    large = model.degrees_of_freedom > (SMALL if known else 1) and not system_kind(model.system).pendulum
     return bool(plain and alone and large)
 
 
