@@ -140,7 +140,7 @@ def test_controls_of_equations_as_text() -> None:
 @pytest.mark.slow
 def test_a_stirred_tank_as_text() -> None:
     """Two parallel reactions, 40 held values: more than the steady optimum; 0.0929 is what is to be reached."""
-    problem = of.load_problem(Path(__file__).parents[1] / "problems" / "control" / "stirred-tank.toml")
+    problem = of.load_problem(Path(__file__).parent / "data" / "stirred-tank.toml")
     orbit = of.find_orbit(problem)
     assert orbit.certificate is not None and orbit.certificate.passed and orbit.control is not None
     assert orbit.control["cost"] < -0.0929
