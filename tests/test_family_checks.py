@@ -5,6 +5,7 @@ import logging
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,13 +17,13 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families import passages
-from orbitfinder.families.checks import Probe, Sides
+from orbitfinder.families.checks import Sides
 from orbitfinder.families.entries import KINDS
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.registry import EventKind
 from orbitfinder.families.start import curve_of
-from orbitfinder.families.verified import reading, settled_on
+from orbitfinder.families.verified import reading
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.records.family import Event, Reading, load_family, save_family
@@ -300,22 +301,15 @@ def test_doublings_of_one_mass_beside_a_sharper_corner():
     assert not family.unknown and [one.kind for one in family.events].count("stability_change") == 2
 
 
-@pytest.mark.parametrize(("sign", "side"), [(1, "supercritical"), (-1, "subcritical")])
-def test_the_side_of_a_fold_on_which_its_two_orbits_are(sign, side, tmp_path):
-    """Circles r^2 = 1 +- (sign a)^(1/2): by signs of determinants, where the parameter itself may say nothing."""
-
-    def field(_, x, p):
-        square = x.x**2 + x.y**2
-        grown = sign * p.a - (square - 1) ** 2
-        return [grown * x.x - x.y, grown * x.y + x.x]
-
-    model = of.ode(field, ["x", "y"], {"a": 0.5 * sign})
-    problem = Problem(model, Guess([np.sqrt(1 + np.sqrt(0.5)), 0.0], 2 * np.pi))
-    settings = FamilySettings(certify=False, points=40, directions="backward" if sign > 0 else "forward")
-    family = follow_family(problem, "a", settings=settings, model=model, out=tmp_path)
-    (fold,) = (event for event in family.events if event.kind == "fold")
-    assert fold.criticality == side and abs(fold.parameter) < 1e-9
-    curve = curve_of(family.curve, model, FamilySettings(parameter="a"))
-    looks = [Probe(curve, settled_on(curve, orbit)) for orbit in family.points[fold.index : fold.index + 2]]
-    sides = Sides(looks[0], looks[0], looks[0], looks[1], 1.0, 1.0)
-    assert sides.rises("a") == (-sign, sign)
+@pytest.mark.parametrize(("off", "bends"), [(1e-15, False), (-2e-14, True), (2e-14, True)])
+def test_round_off_is_no_bend(off, bends):
+    """A canard's parameter beside its fold differed by 6, 4, 14 and 10 round-offs, like a parabola's, with the wrong
+    sign."""
+    middle = 1.4258214774962878
+    near, far = (middle + off * share for share in (1.3, 0.9)), [middle + off * share for share in (3.1, 4.2)]
+    low, high = near
+    sides = SimpleNamespace(
+        outer=[SimpleNamespace(value=lambda _, value=value: value) for value in far],
+        values=lambda _: (low, middle, high),
+    )
+    assert Sides.bends(sides, "I") is bends

@@ -32,7 +32,7 @@ from orbitfinder.families.registry import KINDS
 from orbitfinder.integrate.dop853 import TIGHTEST, ReferenceSettings
 from orbitfinder.loops.condensed import CUTOFF
 from orbitfinder.loops.conditions import pinned
-from orbitfinder.loops.continued import CORRECTOR, Curve, Solution, avoided_crossing, crossed, plane, scaled
+from orbitfinder.loops.continued import CORRECTOR, Curve, Solution, avoided_crossing, crossed, plane
 from orbitfinder.loops.loop import ROUND_OFF
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import arcs, numbers, unsure
@@ -191,6 +191,8 @@ class Sides:
     """the orbits twice as far on both sides, where a parabola through the nearer ones is not enough"""
     parameter: str = ""
     """what the family is followed in"""
+    farthest: bool = False
+    """whether none are farther"""
 
     def zero(self, measure: Measure, sharp: bool = True, within: float = SHARP) -> Reading:
         """What a measure says: it is to vanish here, `within` so much of a step, and to change its sign, if it is
@@ -286,24 +288,28 @@ class Sides:
         read = Reading(float(value), float(error), bool(abs(value) <= error and noise <= DOUBTFUL))
         return self._barred(read, (abs(value) + noise) * self.step)
 
-    def rises(self, name: str) -> tuple[float, float]:
-        """The signs of a quantity's derivative along the family before and after the event.
-
-        By Cramer's rule it is |J, g| / |J, d|, J the rows without an aim, g the quantity's gradient and d a way along
-        the family: signs that are known where it moves by less than its round-off, as in a canard.
-        """
-        signs, places = [], [look.solution.place for look in (self.before, self.after)]
-        for look, w in zip((self.before, self.after), places, strict=True):
-            matrix, units = scaled(look.curve, look.solution)
-            slopes = look.curve.slopes(w, (pinned(look.curve.equations, name, 0.0),))[0] * units
-            rows = slopes, (places[1].vector - places[0].vector) / units
-            signs.append(float(np.prod([np.linalg.slogdet(np.vstack([matrix, row]))[0] for row in rows])))
-        return signs[0], signs[1]
-
     def turns(self, name: str) -> bool:
-        """Whether a quantity is extremal at the event."""
-        low, high = self.rises(name)
-        return low * high < 0
+        """Whether a quantity is, beyond round-off, on one side of what it is here on both sides."""
+        low, middle, high = self.values(name)
+        known = 8 * EPSILON * abs(middle)
+        return bool(min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known)
+
+    def passes(self, name: str) -> bool:
+        """Whether a quantity goes on, beyond round-off."""
+        low, middle, high = self.values(name)
+        known = 8 * EPSILON * abs(middle)
+        return bool((low - middle) * (middle - high) > 0 and min(abs(low - middle), abs(high - middle)) > known)
+
+    def bends(self, name: str) -> bool:
+        """Whether a quantity goes as a parabola through four orbits beside this, however little it does."""
+        if not self.outer:
+            return False
+        low, middle, high = self.values(name)
+        first, last = (probe.value(name) for probe in self.outer)
+        near, far = np.array([low, high]) - middle, np.array([first, last]) - middle
+        known = 8 * EPSILON * abs(middle)  # a parabola's share is 4, and round-off has none
+        alike = np.abs(near).min() > known and abs(np.sign([*near, *far]).sum()) == 4
+        return bool(alike and 2.0 < far.sum() / near.sum() < 8.0)
 
 
 def _as(look: Probe, about: Any) -> Probe:
@@ -325,11 +331,7 @@ def check_passage(sides: Sides, event: Event) -> Reading:
     levels = [level for level, *kind, mu in known if tuple(kind) == told and abs(mu - event.multiplier) < ALIKE]
     if not levels:
         raise Refuted(f"its multiplier {event.multiplier:.6g} and order {event.order} are of another kind")
-    if (
-        KINDS[event.kind].crosses
-        and event.multiplier.real > 0
-        and np.prod(sides.rises(_parameter(sides.here.curve))) < 0
-    ):
+    if KINDS[event.kind].crosses and event.multiplier.real > 0 and sides.turns(_parameter(sides.here.curve)):
         raise Refuted("the family turns there, so that nothing else leads through it")
     if KINDS[event.kind].crosses and event.multiplier.real > 0 and not here.conservative and not sides.crossed:
         raise Refuted("no other family leads through it")
@@ -343,8 +345,7 @@ def _parameter(curve: Curve) -> str:
 
 def check_fold(sides: Sides, event: Event) -> Reading:
     """A multiplier at +1, and the parameter turns."""
-    curve = sides.here.curve
-    if event.detail not in {"energy", *curve.equations.physical} - {condition.name for condition in curve.kept}:
+    if event.detail not in ("energy", *sides.here.curve.equations.physical):
         raise Refuted(f"{event.detail or 'nothing'} is no parameter that folds")
     return _turned(sides, event.detail)
 
@@ -352,15 +353,17 @@ def check_fold(sides: Sides, event: Event) -> Reading:
 def _turned(sides: Sides, parameter: str) -> Reading:
     """A root at the level of mu = 1, which is sharp by the turn of a parameter if not by itself.
 
-    Where the parameter hardly moves beyond its round-off, as in a canard, it is by itself, and the derivative of the
-    parameter changes its sign.
+    Where the parameter hardly moves beyond its round-off, as in a canard, it is by itself, and the parameter turns: as
+    is seen, or as no other family crosses there. (The rows of a loop then have full rank, so that a multiplier that
+    passes +1 takes the derivative of the parameter through 0.)
     """
     level = _level(2.0 if sides.here.about.conservative else 1.0)
     passage = sides.zero(level, sharp=False)
     if passage.passed and (turn := sides.turning(parameter)).passed:
         return _nearer(passage, turn)
     passage = sides.zero(level, within=DOUBTFUL)
-    return replace(passage, passed=passage.passed and sides.turns(parameter))
+    still = sides.farthest and not (sides.here.about.conservative or sides.crossed or sides.passes(parameter))
+    return replace(passage, passed=passage.passed and (still or sides.bends(parameter)))
 
 
 def _nearer(first: Reading, second: Reading) -> Reading:
@@ -375,9 +378,10 @@ def fold_side(sides: Sides, event: Event) -> str:
 
     Source: P. Glendinning, Stability, Instability and Chaos (1994), section 8.2.
     """
-    if sides.here.about.conservative:
+    if sides.here.about.conservative or not (sides.turns(event.detail) or sides.bends(event.detail)):
         return ""
-    return {(-1.0, 1.0): "supercritical", (1.0, -1.0): "subcritical"}.get(sides.rises(event.detail), "")
+    low, middle, high = sides.values(event.detail)
+    return "supercritical" if low + high > 2 * middle else "subcritical"
 
 
 def birth_side(sides: Sides, event: Event) -> str:

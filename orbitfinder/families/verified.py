@@ -106,7 +106,7 @@ SETTLED = 1e-6
 """Equilibria and eigenvalues at such an end are known to this, relative"""
 SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (2e-1, 1), (5e-1, 1), (1.0, 1))
 """How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
-ones where two events share a step, the farthest where multipliers hardly move, as in a canard"""
+ones where two events share a step, the farthest where a parameter hardly moves beyond its round-off, as in a canard"""
 _Member = TypeVar("_Member", FamilyPoint, Event)
 STEPS = 480
 """Steps of a period on which an orbit is marched of which the nodes are not known"""
@@ -132,7 +132,7 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
             looks = [Probe(curve, _corrected(curve, solution, whole, d, 0.5 * step, slope)) for d in shares]
             before, middle, after = looks[outer : len(looks) - outer]
             far = looks[:: len(looks) - 1] if outer else ()
-            tried = Sides(before, here, middle, after, share * step, step, far, parameter)
+            tried = Sides(before, here, middle, after, share * step, step, far, parameter, share == SHARES[-1][0])
             result = kind.check(tried, event)
             check(f"EventKind {event.kind!r}, check", "Reading", result)
         except (ConvergenceError, IntegrationError) as error:
@@ -143,6 +143,9 @@ def reading(curve: Curve, event: Event, along: np.ndarray, step: float, paramete
             break
     if sides is None:
         raise said
+    if sides.outer and not (result.passed or sides.farthest):  # nothing farther could be corrected
+        sides = replace(sides, farthest=True)
+        result = kind.check(sides, event)
     return replace(result, criticality=kind.side(sides, event)) if result.passed else result
 
 
