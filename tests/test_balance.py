@@ -15,7 +15,8 @@ from scipy.special import ellipk
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
-from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
+from orbitfinder.families import balance
 from orbitfinder.families.branches import left_at
 from orbitfinder.families.curves import curves_through
 from orbitfinder.families.happening import facts
@@ -755,7 +756,7 @@ def own_balance(nodes, tip):
 @pytest.mark.slow
 @pytest.mark.parametrize("nodes", [2, 5, 20])
 def test_a_beam_of_steel_is_followed_to_two_millimetres(nodes):
-    """By default settings, whatever its elements: stiff ones by balance, as own balance of the tip alone has them."""
+    """Periods as own balance of the tip has them; stiff ones are found and followed by balance unasked."""
     found = of.find_orbit(beam(nodes, 1e-3))
     assert found.certificate.passed and found.period == pytest.approx(own_balance(nodes, 1e-3), rel=1e-9)
     assert ("method_reason" in found.provenance) == (nodes > 2)
@@ -766,8 +767,21 @@ def test_a_beam_of_steel_is_followed_to_two_millimetres(nodes):
     assert family.ends[-1].kind == "target" and family.values("tip")[-1] > 2e-3
 
 
+def test_events_that_cannot_be_told_cost_no_family(free, monkeypatch):
+    """Each step says so, the family goes on to what was asked."""
+
+    def lost(*_):
+        raise ConvergenceError("its mesh would become too fine")
+
+    monkeypatch.setattr(balance, "find_events", lost)
+    settings = of.FamilySettings(method="balance", directions="forward", certify=False)
+    family = of.follow_family(free[0], "energy", until=0.4, settings=settings)
+    assert family.ends[-1].kind == "target" and not family.events
+    assert any("events are unknown: its mesh would become too fine" in each for each in family.undecided)
+
+
 def test_a_fast_mode_makes_a_free_motion_stiff():
-    """As of a beam: why is said; a record without multipliers that are no matter of steps is refused."""
+    """Why is said; a record without multipliers must say that its stability is undecided, and is at its period."""
     asked = beam(5)
     name, _, why = method_of(asked)
     assert name == "balance" and why == "the fastest mode turns by 1703 rad in a period"

@@ -33,7 +33,7 @@ from orbitfinder.mechanics.kind import build_model, check_reachable, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hybrid import HybridCheck
-from orbitfinder.orbits.method import follower, named
+from orbitfinder.orbits.method import named
 from orbitfinder.records.codec import plain
 from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import (
@@ -140,7 +140,7 @@ def follow_family(
     watch, stop = _watched(origin, watch), stop or {}
     check_stop(stop, watch)
     request, source = _request(origin, settings, at, watch)
-    by = (settings.method or method_of(origin) or follower(origin)) if isinstance(origin, Orbit | Problem) else None
+    by = (settings.method or method_of(origin)) if isinstance(origin, Orbit | Problem) else None
     if by and (follow_by := named(by).follow):  # where no march does
         asked, wanted = (request, source), (until, at, bool(stop or between))
         return follow_by(as_problem(cast(Any, origin), model), settings, wanted, label, folder, asked, watch, progress)

@@ -157,9 +157,9 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
 
 
 def method_of(origin: Problem | Orbit) -> str | None:
-    """The method that an origin asks for or was found by, where families begin by it."""
+    """The method that an origin asks for, was found by or is followed by unasked, where families begin by it."""
     known = {} if isinstance(origin, Problem) else {**getattr(origin, "curve", {}), **origin.provenance}
-    by = origin.method if isinstance(origin, Problem) else known.get("method")
+    by = origin.method or method.follower(origin) if isinstance(origin, Problem) else known.get("method")
     return by if by and method.begins(by) else None
 
 

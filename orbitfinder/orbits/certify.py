@@ -641,7 +641,7 @@ def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
     """
     recorded, found = orbit.floquet_multipliers, floquet.multipliers
     if recorded.size != found.size and not (recorded.size < found.size and orbit.state.size > 2 * SMALL):
-        return 0.0 if not recorded.size and orbit.stability == "undecided" else np.inf
+        return np.inf if recorded.size or orbit.stability != "undecided" else 0.0
     if not recorded.size:
         return 0.0
     largest = np.abs(found).max()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -73,11 +72,10 @@ def rescuer(problem: Problem, failed: str = SHOOTING) -> str | None:
     return next((key for key, each in METHODS.items() if key != failed and each.rescues(problem)), None)
 
 
-def follower(origin: Any) -> str | None:
+def follower(problem: Problem) -> str | None:
     """The name of the method that suits a problem and follows families by itself, if any."""
     filled("methods")
-    known = METHODS.items() if isinstance(origin, Problem) else ()
-    return next((key for key, each in known if each.follow and each.suits(origin)), None)
+    return next((key for key, each in METHODS.items() if each.follow and each.suits(problem)), None)
 
 
 def method_of(problem: Problem, asked: str | None = None) -> tuple[str, Method, str]:
