@@ -13,7 +13,7 @@ import orbitfinder as of
 from orbitfinder.families.follow import PREDICTION
 from orbitfinder.families.run import accepted
 from orbitfinder.families.start import begin
-from orbitfinder.integrate.compiled import compiling
+from orbitfinder.integrate.compiled import available, compiling
 from orbitfinder.loops import block
 from orbitfinder.loops.block import Blocks, Pacing
 from orbitfinder.loops.conditions import clock
@@ -21,6 +21,8 @@ from orbitfinder.loops.continued import advanced, correct, distance, plane, tang
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.mesh import MESH, STEP_ERROR
 from orbitfinder.loops.symmetry import NONE
+
+pytestmark = pytest.mark.skipif(not available()[0], reason="no C compiler: " + available()[1])
 
 PROBLEMS = {
     "duffing": ("problems/families/duffing-resonance.toml", "frequency"),

@@ -247,6 +247,7 @@ def test_controls_in_time_hold_no_code_of_their_words(cycle):
             name: bare(each, name) for name, each in plain.items()}  # fmt: skip
 
 
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on the path")
 def test_strict_compilers_take_a_title_with_the_beginning_of_a_comment(cycle, tmp_path):
     for text in ("/* see */ //", "??/", "a \\"):
         for name, code in c_files(source_of(replace(cycle, title=text))).items():

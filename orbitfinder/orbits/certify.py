@@ -330,10 +330,13 @@ class Trial:
         claimed = self.orbit.record
         return None if claimed is None else same("record", claimed, digest(orbit_to_document(self.orbit)))
 
-    def shown(self, name: str, off: float, share: float, growth: float) -> Check:
-        """Recorded states lie on the motion, to a share of its extents or as well as errors of the state allow."""
-        room = min(max(share, 1e-12 * growth), LARGEST_PICTURE)
-        return at_most(name, off if np.isfinite(off) else np.inf, room, "off the recomputed motion")
+    def shown(self, name: str, off: np.ndarray | float, share: float, growth: np.ndarray | float) -> Check:
+        """Recorded states lie on the motion, to a share of its extents or as well as errors of the state allow, where
+        `off` is each component's (d) with what errors of its own grow to."""
+        lost = np.where(np.isfinite(off), off, np.inf)
+        room = np.clip(1e-12 * np.asarray(growth), share, LARGEST_PICTURE)
+        worst = (lost * (share / room)).argmax()
+        return at_most(name, float(lost.flat[worst]), float(room.flat[worst]), "off the recomputed motion")
 
     def windings(self, off: Callable[[np.ndarray], float], note: str) -> Iterator[Check]:
         """A coordinate that turns is an angle, and all is the same where all have turned as they do in some periods."""
@@ -389,9 +392,10 @@ def _smooth_checks(trial: Trial) -> Iterator[Check | None]:
         returned = native_closure(model, orbit.state, orbit.period, gone, units)
         yield at_most("native_closure", returned, allowed.native_closure * trial.scale, "IDAS on the native DAE")
     yield from _record_checks(trial, seen, max(allowed.multipliers, passing))
+    errors = seen.growth * np.maximum(np.abs(seen.states).max(axis=0) / seen.extents, 1.0)  # of what hardly moves
     for name, times, states, share in _pictured(orbit):
         there = seen.motion.states[np.searchsorted(seen.motion.times, times)]
-        yield trial.shown(name, np.abs((there - states) / seen.extents).max(), share, seen.growth)
+        yield trial.shown(name, np.abs((there - states) / seen.extents).max(axis=0), share, errors)
     yield from expected_checks(orbit, model)
 
 
