@@ -411,6 +411,7 @@ def test_both_canards_are_passed_from_a_hopf_point(caplog):
     wanted = [float(known["mirror"]), float(known["parameter"])]
     assert [inside(*pair, 6e-11) for pair in zip(folds, wanted, strict=True)] == [True, True]
     assert [one.check.passed for one in family.events] == [True] * 4 and not caplog.records
+    assert [one.criticality for one in folds] == ["supercritical", "subcritical"]
     assert sorted(hopf(family, side)[0] for side in (0, 1)) == pytest.approx([0.3312813374547458, 1.418718662545254])
 
 
@@ -425,6 +426,7 @@ def test_a_canard_along_which_the_parameter_stays_has_its_folds(caplog):
     right, left = (one for one in family.events if one.kind == "fold")
     assert abs(left.parameter + right.parameter - 1.75) <= left.error + right.error < 1e-12
     assert abs(left.period - right.period) <= left.period_error + right.period_error < 1e-5
+    assert left.criticality in ("", "supercritical") and right.criticality in ("", "subcritical")  # never the wrong one
 
 
 @pytest.mark.slow

@@ -32,7 +32,7 @@ from orbitfinder.families.registry import KINDS
 from orbitfinder.integrate.dop853 import TIGHTEST, ReferenceSettings
 from orbitfinder.loops.condensed import CUTOFF
 from orbitfinder.loops.conditions import pinned
-from orbitfinder.loops.continued import CORRECTOR, Curve, Solution, avoided_crossing, crossed, plane
+from orbitfinder.loops.continued import CORRECTOR, Curve, Solution, avoided_crossing, correct, crossed, plane
 from orbitfinder.loops.loop import ROUND_OFF
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import arcs, numbers, unsure
@@ -54,6 +54,9 @@ TOLERANCES = VARIED, COARSER, ReferenceSettings(relative_tolerance=1e-11, absolu
 voltages, their round-off may leave no step that is short enough for the first"""
 ALIKE = 1e-6
 """Multipliers nearer than this are one"""
+WIDER, SURE = 8, 64.0
+"""How often a parameter's turn is looked for farther away, half as far again each time: in all 25 times as far, and the
+round-offs by which it then turns: in the steepest canards it is off by up to 13"""
 
 Measure = Callable[["Probe"], float]
 
@@ -288,10 +291,10 @@ class Sides:
         read = Reading(float(value), float(error), bool(abs(value) <= error and noise <= DOUBTFUL))
         return self._barred(read, (abs(value) + noise) * self.step)
 
-    def turns(self, name: str) -> bool:
-        """Whether a quantity is, beyond round-off, on one side of what it is here on both sides."""
+    def turns(self, name: str, rounded: float = 8.0) -> bool:
+        """Whether a quantity is, beyond so many round-offs, on one side of what it is here on both sides."""
         low, middle, high = self.values(name)
-        known = 8 * EPSILON * abs(middle)
+        known = rounded * EPSILON * abs(middle)
         return bool(min(low - middle, high - middle) > known or max(low - middle, high - middle) < -known)
 
     def passes(self, name: str) -> bool:
@@ -299,6 +302,15 @@ class Sides:
         low, middle, high = self.values(name)
         known = 8 * EPSILON * abs(middle)
         return bool((low - middle) * (middle - high) > 0 and min(abs(low - middle), abs(high - middle)) > known)
+
+    def wider(self) -> Sides:
+        """The same with orbits half as far again on both sides. Raises `ConvergenceError`, `IntegrationError`."""
+        curve, w, ends = self.here.curve, self.middle.solution.place, []
+        for near in (self.before, self.after):
+            way = near.solution.place.vector - w.vector
+            far = w.moved(1.5 * way)
+            ends.append(Probe(curve, correct(curve, far, plane(curve, far, way), far, 0.5 * self.apart)))
+        return replace(self, before=ends[0], after=ends[1], outer=(), apart=1.5 * self.apart)
 
     def bends(self, name: str) -> bool:
         """Whether a quantity goes as a parabola through four orbits beside this, however little it does."""
@@ -378,10 +390,13 @@ def fold_side(sides: Sides, event: Event) -> str:
 
     Source: P. Glendinning, Stability, Instability and Chaos (1994), section 8.2.
     """
-    if sides.here.about.conservative or not (sides.turns(event.detail) or sides.bends(event.detail)):
-        return ""
-    low, middle, high = sides.values(event.detail)
-    return "supercritical" if low + high > 2 * middle else "subcritical"
+    with suppress(ConvergenceError, IntegrationError):
+        for _ in range(WIDER * (not sides.here.about.conservative)):
+            if sides.turns(event.detail, SURE) or sides.bends(event.detail):
+                low, middle, high = sides.values(event.detail)
+                return "supercritical" if low + high > 2 * middle else "subcritical"
+            sides = sides.wider()
+    return ""
 
 
 def birth_side(sides: Sides, event: Event) -> str:
