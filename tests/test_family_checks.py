@@ -17,7 +17,7 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families import passages
-from orbitfinder.families.checks import Sides
+from orbitfinder.families.checks import SURE, Sides
 from orbitfinder.families.entries import KINDS
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
@@ -301,15 +301,9 @@ def test_doublings_of_one_mass_beside_a_sharper_corner():
     assert not family.unknown and [one.kind for one in family.events].count("stability_change") == 2
 
 
-@pytest.mark.parametrize(("off", "bends"), [(1e-15, False), (-2e-14, True), (2e-14, True)])
-def test_round_off_is_no_bend(off, bends):
-    """A canard's parameter beside its fold differed by 6, 4, 14 and 10 round-offs, like a parabola's, with the wrong
-    sign."""
+@pytest.mark.parametrize(("off", "turns"), [(1e-15, False), (-2e-14, True), (2e-14, True)])
+def test_round_off_is_no_turn(off, turns):
+    """A canard's parameter beside its fold differed by 4 and 14 round-offs with the wrong sign."""
     middle = 1.4258214774962878
-    near, far = (middle + off * share for share in (1.3, 0.9)), [middle + off * share for share in (3.1, 4.2)]
-    low, high = near
-    sides = SimpleNamespace(
-        outer=[SimpleNamespace(value=lambda _, value=value: value) for value in far],
-        values=lambda _: (low, middle, high),
-    )
-    assert Sides.bends(sides, "I") is bends
+    sides = SimpleNamespace(values=lambda _: (middle + 1.3 * off, middle, middle + 1.9 * off))
+    assert Sides.turns(sides, "I", SURE) is turns

@@ -312,17 +312,6 @@ class Sides:
             ends.append(Probe(curve, correct(curve, far, plane(curve, far, way), far, 0.5 * self.apart)))
         return replace(self, before=ends[0], after=ends[1], outer=(), apart=1.5 * self.apart)
 
-    def bends(self, name: str) -> bool:
-        """Whether a quantity goes as a parabola through four orbits beside this, however little it does."""
-        if not self.outer:
-            return False
-        low, middle, high = self.values(name)
-        first, last = (probe.value(name) for probe in self.outer)
-        near, far = np.array([low, high]) - middle, np.array([first, last]) - middle
-        known = 8 * EPSILON * abs(middle)  # a parabola's share is 4, and round-off has none
-        alike = np.abs(near).min() > known and abs(np.sign([*near, *far]).sum()) == 4
-        return bool(alike and 2.0 < far.sum() / near.sum() < 8.0)
-
 
 def _as(look: Probe, about: Any) -> Probe:
     """The same orbit with another map."""
@@ -375,7 +364,7 @@ def _turned(sides: Sides, parameter: str) -> Reading:
         return _nearer(passage, turn)
     passage = sides.zero(level, within=DOUBTFUL)
     still = sides.farthest and not (sides.here.about.conservative or sides.crossed or sides.passes(parameter))
-    return replace(passage, passed=passage.passed and (still or sides.bends(parameter)))
+    return replace(passage, passed=passage.passed and (still or sides.turns(parameter, SURE)))
 
 
 def _nearer(first: Reading, second: Reading) -> Reading:
@@ -392,7 +381,7 @@ def fold_side(sides: Sides, event: Event) -> str:
     """
     with suppress(ConvergenceError, IntegrationError):
         for _ in range(WIDER * (not sides.here.about.conservative)):
-            if sides.turns(event.detail, SURE) or sides.bends(event.detail):
+            if sides.turns(event.detail, SURE):
                 low, middle, high = sides.values(event.detail)
                 return "supercritical" if low + high > 2 * middle else "subcritical"
             sides = sides.wider()
