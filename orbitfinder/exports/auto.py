@@ -116,8 +116,10 @@ def _func(source: Source) -> str:
         clock, extent = straight_line(model.forcing_period, FORTRAN, ["p"], ["forcing"])
         work = max(work, extent)
         before += [*clock, f"rate = {fortran_number(2 * np.pi)} / forcing(1)"]
-        before += [f"t(1) = atan2(U({size + 2}), U({size + 1})) / rate"]
-        after += _oscillator(size + 1, size + 2)
+        c, s = (f"U({k})" for k in (size + 1, size + 2))
+        before += [f"t(1) = atan2({s}, {c}) / rate"]
+        circle = f"(1.0d0 - {c} * {c} - {s} * {s})"
+        after += [f"F({size + 1}) = {c} * {circle} - rate * {s}", f"F({size + 2}) = {s} * {circle} + rate * {c}"]
     if not model.invariants:  # s must act on something to be a parameter
         after += [f"F({i + 1}) = F({i + 1}) + s(1) * U({i + 1})" for i in source.rates]
     if _symmetries(source):  # IPS = 4 does not scale time
@@ -132,11 +134,6 @@ def _func(source: Source) -> str:
 {_parameters_in_par([*before, *lines, *after])}
 end subroutine FUNC
 """
-
-
-def _oscillator(c: int, s: int) -> list[str]:
-    circle = f"(1.0d0 - U({c}) * U({c}) - U({s}) * U({s}))"
-    return [f"F({c}) = U({c}) * {circle} - rate * U({s})", f"F({s}) = U({s}) * {circle} + rate * U({c})"]
 
 
 def _stpnt(source: Source) -> str:

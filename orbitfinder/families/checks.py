@@ -55,8 +55,8 @@ voltages, their round-off may leave no step that is short enough for the first""
 ALIKE = 1e-6
 """Multipliers nearer than this are one"""
 WIDER, SURE = 8, 64.0
-"""How often a parameter's turn is looked for farther away, half as far again each time: in all 25 times as far, and the
-round-offs by which it then turns: in the steepest canards it is off by up to 13"""
+"""How often a parameter's turn is looked for half as far again, up to 25 times as far, and the round-offs by which it
+turns: in the steepest canards it is off by up to 13"""
 
 Measure = Callable[["Probe"], float]
 

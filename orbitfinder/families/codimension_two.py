@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from math import gcd
 
 import numpy as np
@@ -100,13 +101,9 @@ def _resonances(root: int, total: Measure) -> Iterator[Test]:
         for k in range(order * root // 2 + 1):
             if gcd(k, order) == 1:
                 angle = 2 * np.pi * k / (order * root)
-                level = 2 * float(np.cos(angle))
                 name = f"1:{order}" if 0 < k < order * root / 2 or root == 1 else "1:1"
-                yield Test("strong_resonance", name, _less(total, level), order, complex(np.exp(1j * angle)))
-
-
-def _less(measure: Measure, level: float) -> Measure:
-    return lambda sample: measure(sample) - level
+                less = partial(lambda level, sample: total(sample) - level, 2 * float(np.cos(angle)))
+                yield Test("strong_resonance", name, less, order, complex(np.exp(1j * angle)))
 
 
 def _beside(mu: float) -> Measure:

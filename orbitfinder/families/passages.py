@@ -298,7 +298,9 @@ def look(interval: Interval) -> None:
     a, b = interval.first, interval.last
     if complex_pairs(a) != complex_pairs(b):
         return
-    exchanged = _exchanged(a, b)
+    # of opposite signature on the unit circle they stand in another order
+    first, last = ([int(t) for t in sample.turns[np.argsort(sample.indices.real)] if t] for sample in (a, b))
+    exchanged = len(first) == len(last) and sum(first) == sum(last) and first != last
     # indices nearer than this at one end of a step may have met twice inside it
     if exchanged or min(abs(meeting(a)), abs(meeting(b))) < 0.3**2:
         twice(interval, meeting, exchanged)
@@ -376,12 +378,6 @@ def _lowest(height: Callable[[float], float], length: float) -> float:
         known[place] = height(place)
         told = abs(known[place] - parabola(place)) < TOLD_LOW * abs(known[place])
     return min(known, key=lambda each: known[each])
-
-
-def _exchanged(a: Sample, b: Sample) -> bool:
-    """Whether indices of opposite signature on the unit circle stand in another order."""
-    first, last = ([int(t) for t in sample.turns[np.argsort(sample.indices.real)] if t] for sample in (a, b))
-    return len(first) == len(last) and sum(first) == sum(last) and first != last
 
 
 # Multipliers that pass through +1 or -1 between two points: thin strips of instability, and avoided crossings.

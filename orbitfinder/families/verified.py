@@ -218,7 +218,10 @@ def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
     if by_series(family.curve) and (again := named(str(family.curve["method"])).verify):
         yield from again(family, model)
         return
-    curve = _in_scales(family, family_curve(family, model))
+    # in the scales of the orbit that it began with
+    curve, k = family_curve(family, model), int(np.argmin(np.abs(family.values("arclength"))))
+    along = _head(family.points[k]) - _head(family.points[k - 1 if k else -1])
+    curve = begun(curve, settled_on(curve, family.points[k]), along if along.any() else np.ones(along.size))[0]
     yield from verdicts(family, partial(_again, curve), range(len(family.points)))
     for k, event in enumerate(family.events):
         interrupt.check()
@@ -295,13 +298,6 @@ def family_curve(family: Family, model: Model) -> Curve:
     if "test" not in family.curve:
         return curve
     return replace(curve, test=read_as(Critical, family.curve["test"], "curve.test", AGAIN))
-
-
-def _in_scales(family: Family, curve: Curve) -> Curve:
-    """The family's curve in the scales of the orbit that it began with."""
-    points, k = family.points, int(np.argmin(np.abs(family.values("arclength"))))
-    along = _head(points[k]) - _head(points[k - 1 if k else -1])
-    return begun(curve, settled_on(curve, points[k]), along if along.any() else np.ones(along.size))[0]
 
 
 def _event(family: Family, curve: Curve, event: Event) -> Check:

@@ -434,7 +434,12 @@ class Border:
         if known and not exact and before is None:
             return self._row
         if exact or not known or not self._free.size:
-            self._free = _left_free(self.curve, w, jacobian)
+            # orthonormal rows over w, in units of the metric: the kernel of all but the test and the aim
+            if self.curve.degenerate:
+                matrix = _measures(self.curve.through(w), w).matrix(jacobian)
+                self._free = np.linalg.svd(matrix)[2][len(jacobian) - 1 :]
+            else:  # what rows are measured in does not change their kernel
+                self._free = np.linalg.qr((jacobian * columns).T, mode="complete")[0][:, len(jacobian) :].T
         moved = np.zeros(columns.size) if before is None else (w.vector - before[0]) / columns
         across = moved - (self._free @ moved) @ self._free
         length = float(np.linalg.norm(across))
@@ -462,14 +467,6 @@ class Border:
             beside = along - (self._free @ along) @ self._free
             row = row + (test - self._value - CORRECTOR.difference * row @ along) * beside
         return np.asarray(row / CORRECTOR.difference)
-
-
-def _left_free(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> np.ndarray:
-    """An orthonormal basis (k x whole), in units of the metric, of the kernel of all rows but the test and the aim."""
-    if curve.degenerate:
-        return np.asarray(np.linalg.svd(_measures(curve.through(w), w).matrix(jacobian))[2][len(jacobian) - 1 :])
-    matrix = jacobian * curve.scales.columns(w)  # what rows are measured in does not change their kernel
-    return np.asarray(np.linalg.qr(matrix.T, mode="complete")[0][:, len(matrix) :].T)
 
 
 def _solver(curve: Curve, w: Unknowns, jacobian: Jacobian, row: np.ndarray) -> Solver:

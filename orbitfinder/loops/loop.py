@@ -196,7 +196,10 @@ class Equations:
     def _derived(self, model: Model, arc: int | None) -> March:
         unfolded = self.symmetry.unfolded(model)
         flow = vector_field(model, self.free, unfolded)
-        rate = _action_rate(model, flow, self.free) if self.action else None
+        inputs, rate = inputs_of(flow), None
+        if self.action:
+            action = model.action_rate(inputs[0], inputs[1], model.parameters(self.free, inputs[3]))
+            rate = ca.Function("action_rate", inputs, [action])
         if arc is not None:
             flow, rate = self._paced(flow, arc), None if rate is None else self._paced(rate, arc)
         elif self.by is March:
@@ -602,13 +605,6 @@ class Loop:
 def beyond(rows: np.ndarray, lost: np.ndarray) -> np.ndarray:
     """Rows without what may be round-off, of which no step is better than another."""
     return np.asarray(rows * ~(np.abs(rows) <= lost))
-
-
-def _action_rate(model: Model, flow: ca.Function, free: tuple[str, ...]) -> ca.Function:
-    """dS/dt as a function of (t, x, s, free)."""
-    inputs = inputs_of(flow)
-    rate = model.action_rate(inputs[0], inputs[1], model.parameters(free, inputs[3]))
-    return ca.Function("action_rate", inputs, [rate])
 
 
 def levels(model: Model, x: Any, parameters: Any) -> Any:

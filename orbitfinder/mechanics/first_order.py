@@ -373,17 +373,14 @@ def _check_independent(invariants: Sequence[Invariant], symbols: _Symbols) -> No
     rows = [ca.gradient(invariant.value(*inputs), symbols.column) for invariant in invariants]
     slopes = ca.Function("slopes", inputs[::2], [ca.densify(ca.horzcat(ca.SX(len(symbols.names), 0), *rows))])
     matrices = [slopes(x, values).full() for x in random.normal(size=(4, len(symbols.names)))]
-    units = [_balanced(each) for each in matrices if np.all(np.isfinite(each))]
+    units = []  # components, then gradients, of size 1: whatever units both have
+    for each in filter(lambda each: np.all(np.isfinite(each)), matrices):
+        rows = each / nonzero(np.abs(each).max(axis=1, initial=0.0, keepdims=True))
+        units.append(rows / nonzero(np.linalg.norm(rows, axis=0)))
     for k, invariant in enumerate(invariants, start=1):
         if units and all(np.linalg.matrix_rank(each[:, :k], COMMUTES) < k for each in units):
             before = f"a function of {', '.join(each.name for each in invariants[: k - 1])}" if k > 1 else "a constant"
             raise InputError(f"invariants: {invariant.name!r} is {before} and says nothing more; leave it out")
-
-
-def _balanced(slopes: np.ndarray) -> np.ndarray:
-    """Gradients (columns) with components, then columns, of size 1: whatever units both have."""
-    rows = slopes / nonzero(np.abs(slopes).max(axis=1, initial=0.0, keepdims=True))
-    return np.asarray(rows / nonzero(np.linalg.norm(rows, axis=0)))
 
 
 COMMUTES = 1e-9

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -192,18 +193,19 @@ def _peak(
     heights = []
     for _ in range(ROUNDS):
         # with t = 0 of the guess at the peak of the component, and the objective about that
-        n = problem.model.degrees_of_freedom
         top = int(np.abs(states[:-1, place]).argmax())
         resting = problem.boundary.reverses
         if resting:  # t = 0 stays at rest, at the end of the swing where the coordinate is larger
             top = 0 if abs(states[0, place]) >= abs(states[len(states) // 2, place]) else len(states) // 2
         moved = np.vstack([states[top:], states[1 : top + 1] + states[-1] - states[0]])
+        # minus the size of a coordinate at t = 0, or the size of a rate
+        sign = float(np.sign(moved[0, place])) * (-1 if place < problem.model.degrees_of_freedom else 1)
         clock = np.concatenate([times[top:] - times[top], times[1 : top + 1] + times[-1] - times[top]])
         ready = replace(
             problem,
             guess=Guess(moved[0], float(times[-1]), clock, moved),
             coordinate=None,
-            objective=_aim(place, n, float(np.sign(moved[0, place]))),
+            objective=partial(lambda sign, variables: sign * variables.start[place], sign),
             phase_condition=None if resting else lambda variables: variables.rate[place],
         )
         nodes = guessed_nodes(ready.guess, found.edges[:-1])
@@ -234,11 +236,6 @@ def _component(problem: Problem, states: np.ndarray) -> int:
     if problem.coordinate is not None:
         return rates + problem.model.state_index(problem.coordinate)
     return rates + int(np.abs(states[:, rates : rates + n]).max(axis=0).argmax())
-
-
-def _aim(place: int, n: int, sign: float) -> Callable[[Variables], object]:
-    """Minus the size of a coordinate at t = 0, or the size of a rate."""
-    return lambda variables: (-sign if place < n else sign) * variables.start[place]
 
 
 def _orbit(shooting: Shooting, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

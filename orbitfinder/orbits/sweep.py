@@ -369,12 +369,10 @@ class _Study:
                     assert self.refiner  # whatever is wrong with the problem is no value's fault
                     visit = _Visit(self._row(int(k)), after, tuple(self._way))
                 self._way, after = list(visit.way), values
-                yield int(self.numbers[k]), self._numbered(visit, int(k)), fresh
-
-    def _numbered(self, visit: _Visit, k: int) -> _Visit:
-        """With the name that the orbit has in this sweep."""
-        row, name = visit.row, f"{self.problem.name}-{self.numbers[k] + 1:04d}"
-        return visit if row.orbit is None else replace(visit, row=replace(row, orbit=replace(row.orbit, name=name)))
+                number, row = int(self.numbers[k]), visit.row
+                if row.orbit is not None:  # of another sweep it may have another name
+                    row = replace(row, orbit=replace(row.orbit, name=f"{self.problem.name}-{number + 1:04d}"))
+                yield number, replace(visit, row=row), fresh
 
     def _row(self, k: int) -> Row:
         limited.check()

@@ -110,7 +110,10 @@ def write_page(folder: Path, numbers: Numbers) -> Path:
         numbers, printed_orbits=ORBITS, tolerance=TOLERANCE, separation=SEPARATION, hours=HOURS_FOR_100_LINKS,
         sizes=[*map(str, SIZES)], orbit_rows=_orbits(numbers["orbits"]), energy_rows=_energy(numbers["energy"]),
         difference_rows=_differences(numbers["differences"]), chain_rows=_chains(numbers["derivation"]),
-        linkage_rows=_linkages(numbers["four_bar"]["linkages"]),
+        linkage_rows=[
+            [bar["title"], f"{bar['span']:g}", *(f"{bar[k]:.1e}" for k in ("drift", "phi", "phidot")), bar["motion"]]
+            for bar in numbers["four_bar"]["linkages"]
+        ],
     )  # fmt: skip
     path = folder / "README.md"
     write_atomically(path, text.encode())
@@ -145,13 +148,6 @@ def _differences(numbers: Numbers) -> list[list[str]]:
         first = "never" if gaps["first_above_1_rad"] is None else f"{gaps['first_above_1_rad']:.2f}"
         rows.append([pair, str(gaps["figure"]), f"{gaps['largest_to_12_s']:.1e}", first, f"{gaps['rate']:.2f}"])
     return rows
-
-
-def _linkages(linkages: list[Numbers]) -> list[list[str]]:
-    return [
-        [bar["title"], f"{bar['span']:g}", *(f"{bar[what]:.1e}" for what in ("drift", "phi", "phidot")), bar["motion"]]
-        for bar in linkages
-    ]
 
 
 def _chains(derivation: Numbers) -> list[list[str]]:
