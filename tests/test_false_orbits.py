@@ -60,7 +60,8 @@ def test_a_multiple_of_the_period_is_rejected_by_name(path, k):
 def test_a_multiple_that_errors_have_grown_over_is_rejected():
     """Round-off has grown to 7e-7 after 23 periods of the Rossler cycle: that is how near it comes to itself before."""
     orbit = of.load_orbit(Path(__file__).parents[1] / "results" / "gallery" / "rossler" / "orbit.json")
-    assert certify(times_round(orbit, 23)).failures == ("minimal_period",)
+    for k in (23, 25, 26):  # 25 and 26 close in long double, the motion looked at is of double
+        assert certify(times_round(orbit, k)).failures == ("minimal_period",)
 
 
 @pytest.mark.slow

@@ -294,9 +294,13 @@ def _model(
         if ca.depends_on(period, ca.vertcat(symbols.t, symbols.column)) or symbols.foreign(period):
             raise InputError("forcing_period: may depend on the parameters only")
         clock = ca.Function("forcing_period", [symbols.numbers], [period])
-    reversals = (
-        (name, _sense(name, sense), symbols.signs(moved)) for name, (sense, moved) in (symmetries or {}).items()
-    )
+    reversals = []
+    for name, (sense, moved) in (symmetries or {}).items():
+        if sense not in (1, -1):
+            raise InputError(
+                f"symmetries: {name!r} has the sense of time {sense!r}; give 1, or -1 for time run backwards"
+            )
+        reversals.append((name, sense, symbols.signs(moved)))
     return Model(
         dict(system or {"kind": "custom", "units": NEUTRAL}),
         Dynamics(
@@ -315,12 +319,6 @@ def _model(
 
 def _parameters(given: Mapping[str, float] | None) -> dict[str, float]:
     return {name: finite_number(f"parameters.{name}", value) for name, value in (given or {}).items()}
-
-
-def _sense(name: str, sense: int) -> int:
-    if sense not in (1, -1):
-        raise InputError(f"symmetries: {name!r} has the sense of time {sense!r}; give 1, or -1 for time run backwards")
-    return sense
 
 
 def _scalar(name: str, value: Any) -> ca.SX:

@@ -138,7 +138,11 @@ def python_model(system: Table, trusted: Path | None = None) -> Model:
     arguments = system.get("arguments", {})
     if not (isinstance(module, str) and isinstance(name, str) and isinstance(arguments, Mapping)):
         raise InputError("system: a python system needs module and function (text) and arguments (a table)")
-    function = _built_in(name) if module == BUILT_IN else _foreign(module, name, trusted)
+    filled("kinds")
+    if module == BUILT_IN and name not in FUNCTIONS:
+        known = ", ".join(FUNCTIONS)
+        raise InputError(f"system.function: {BUILT_IN} has no {name!r}{closest(name, FUNCTIONS)}; it has {known}")
+    function = FUNCTIONS[name] if module == BUILT_IN else _foreign(module, name, trusted)
     try:
         with neighbours(trusted):
             model = with_parameters(function().model, arguments) if name == PROBLEM else function(**arguments)
@@ -201,14 +205,6 @@ def described(system: Table, module: str, function: str, arguments: Table | None
     """The description of a system that a module's function makes, with what else (a cycle) was said of it."""
     made = {"kind": "python", "module": module, "function": function, "arguments": dict(arguments or {})}
     return {**system, **made}
-
-
-def _built_in(name: str) -> Callable[..., Any]:
-    filled("kinds")
-    if name not in FUNCTIONS:
-        known = ", ".join(FUNCTIONS)
-        raise InputError(f"system.function: {BUILT_IN} has no {name!r}{closest(name, FUNCTIONS)}; it has {known}")
-    return FUNCTIONS[name]
 
 
 def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]:

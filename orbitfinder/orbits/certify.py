@@ -294,9 +294,10 @@ class Trial:
         extent = max(float(np.ptp(group, axis=0).max() / size_of(group)) for group in groups if group.size)
         return at_least("not_equilibrium", extent, self.allowed.motion, note)
 
-    def apart(self, name: str, least: float, note: str) -> Check:
-        """What comes back early is farther away than what must be told apart, and than the gap."""
-        return at_least(name, least, max(self.allowed.cover, TOLD_APART * self.gap), note)
+    def apart(self, name: str, least: float, note: str, gap: float = 0.0) -> Check:
+        """What comes back early is farther away than what must be told apart, and than the gap, or that of what says so
+        if it is larger."""
+        return at_least(name, least, max(self.allowed.cover, TOLD_APART * max(self.gap, gap)), note)
 
     def unfolding(self, room: float, note: str = "back at 0, per period", always: bool = False) -> Check | None:
         """The unfolding parameters, where there are any."""
@@ -534,7 +535,9 @@ def _minimal_period(trial: Trial, near: _Nearby, seen: Evidence) -> Check | None
     found, lag = early_return(seen.motion.trace, apart, near.forced_alike if forced else None)
     both = " of motion and forcing" if forced and found < trial.allowed.cover else ""
     note = "no early return" if lag is None else f"nearest early return{both} after T/{near.period / lag:.6g}"
-    return trial.apart("minimal_period", found, note)
+    trace = seen.motion.trace  # of double precision
+    own = float(np.abs(trace.states[-1] - trace.states[0] - trace.drift).max())
+    return trial.apart("minimal_period", found, note, own)
 
 
 def _resolution(evidence: Evidence) -> Check:

@@ -107,7 +107,13 @@ def recurrences(
     returns = close_returns(times, states, model.angles, count, longest)
     if model.forcing_period is None:
         return returns
-    return [_on_the_beat(each, times, states, model.driving_period) for each in returns]
+    # from the next whole period of the forcing, where t = 0 belongs
+    clock, beat = model.driving_period, []
+    for back in returns:
+        period, moment = max(1, round(back.period / clock)) * clock, float(np.ceil(back.time / clock) * clock)
+        state = np.array([np.interp(moment, times, column) for column in states.T])
+        beat.append(CloseReturn(state, period, back.distance, moment, Guess(state, period)))
+    return beat
 
 
 def first_return(model: Model, state: np.ndarray, longest: float | None = None) -> float:
@@ -218,11 +224,3 @@ def _regular(times: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndar
     count = min(max(times.size, 400), MOST_SAMPLES)
     grid = np.linspace(times[0], times[-1], count)
     return grid, np.stack([np.interp(grid, times, column) for column in states.T], axis=1)
-
-
-def _on_the_beat(back: CloseReturn, times: np.ndarray, states: np.ndarray, clock: float) -> CloseReturn:
-    """The same return of a forced motion from the next whole period of the forcing, where t = 0 belongs."""
-    period = max(1, round(back.period / clock)) * clock
-    moment = float(np.ceil(back.time / clock) * clock)
-    state = np.array([np.interp(moment, times, column) for column in states.T])
-    return CloseReturn(state, period, back.distance, moment, Guess(state, period))
