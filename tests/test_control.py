@@ -417,6 +417,8 @@ def test_the_order_of_fourier_coefficients_is_what_is_said() -> None:
         (lambda: of.Task("x", equals=1.0), "cannot equal a number always"),
         (lambda: of.find_orbit(replace(pick(4.0, 10), control=of.Control("forse**2"))), "unknown name 'forse'"),
         (lambda: of.find_orbit(pick(4.0, 7)), "is no boundary of the control's intervals"),
+        (lambda: of.find_orbit(shaken(free=("w",))), "free: w: the forcing's period, in which controls are given, dep"),
+        (lambda: of.find_orbit(shaken(symmetry="reflection")), "symmetry: controlled motions of forced systems have"),
         (lambda: expression("__import__('os')", {}, "cost"), "is not allowed"),
         (lambda: expression("x.real", {"x": 1.0}, "cost"), "is not allowed"),
         (lambda: expression("x +", {"x": 1.0}, "cost"), "is no expression"),
@@ -452,6 +454,48 @@ def test_a_family_of_optima_ends_at_the_conservative_orbit_that_costs_nothing() 
     assert [one.control["cost"] for one in slower] == pytest.approx([768 / 8, 768 / 2.5**3], rel=1e-10)  # type: ignore[index]
     with pytest.raises(InputError, match="is no pin and no physical parameter"):
         of.follow_optima(pick(4.0, 10), "stifness", [4.0])
+
+
+def shaken(period: str = "2*pi/w", cycles: float = 1.0, clock: bool = False, **more: Any) -> of.Problem:
+    """A hardening oscillator pushed by a cosine and by a control, the cosine of the time or of a `clock` that is two
+    states."""
+    push = "0.4*c" if clock else "0.4*cos(w*t)"
+    rates = {"x": "v", "v": f"-x - 0.1*v - 0.3*x^3 + {push} + u"}
+    values, limits = {"u": 0.0, "w": 1.3}, {"u": [-0.25, 0.25]}
+    start, lasts = [0.0, 1.0], cycles * 2 * np.pi / 1.3
+    if clock:
+        model = of.equations(rates | {"c": "-w*s", "s": "w*c"}, values, controls=limits)
+        start, more = [*start, 1.0, 0.0], more | {"pin": of.pin(period=lasts, c=1.0, s=0.0)}
+    else:
+        model = of.equations(rates, values, period=period, controls=limits)
+    control = of.Control("u^2 - 0.2*v^2", "zero-order", intervals=16, guess={"u": 0.1})
+    return of.Problem(model, of.Guess(start, lasts), control=control, **more)
+
+
+@pytest.mark.slow
+def test_a_forced_system_is_controlled_at_the_phases_of_its_forcing() -> None:
+    """As with a clock among the states, of which no certificate can be had: its radius is anything."""
+    orbit = of.find_orbit(problem := shaken())
+    assert orbit.certificate is not None and orbit.certificate.passed and orbit.control is not None
+    other = of.find_orbit(shaken(clock=True))
+    assert other.control is not None and orbit.control["cost"] == pytest.approx(other.control["cost"], rel=1e-9)
+    np.testing.assert_allclose(orbit.state, other.state[:2], rtol=0, atol=1e-8)
+    by = of.find_orbit(replace(problem, control=replace(problem.control, method="collocation")))
+    assert by.control is not None and by.control["cost"] == pytest.approx(orbit.control["cost"], rel=1e-9)
+    assert abs(max(orbit.control["coefficients"][0]) - 0.25) < 1e-8  # a limit that is met, by IPOPT from inside
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("how", "failed"), [({"period": "4"}, "time_dependence"), ({"cycles": 2.0}, "minimal_period")])
+def test_a_period_that_is_not_the_forcings_is_rejected_by_name(how: dict[str, Any], failed: str) -> None:
+    certificate = of.find_orbit(shaken(**how)).certificate
+    assert certificate is not None and certificate.failures == (failed,)
+
+
+@pytest.mark.slow
+def test_a_controlled_motion_of_another_period_than_the_forcing_has_is_rejected() -> None:
+    orbit = of.find_orbit(shaken())
+    assert "forcing_period" in of.certify(replace(orbit, period=orbit.period * (1 + 1e-12), record=None)).failures
 
 
 @pytest.mark.slow

@@ -179,7 +179,8 @@ class _Controlled:
                 model = altered(model, controls=names, limits=limits)
             model = with_parameters(actuated(model), entry["shares"])
             boundary = related(named(symmetry, model), model, relative)
-            self.parts = arranged(model, boundary, tuple(entry["free"]), control, int(entry["points"]))
+            form = model, boundary, tuple(entry["free"]), control, int(entry["points"])
+            self.parts = arranged(*form, cycles=model.forcing_cycles(period))
             self.pinned = [model.state_names.index(name) for name in entry["pins"] if name in model.state_names]
             self.normals = np.array(entry["normals"], float).reshape(-1, len(model.state_names))
             self.free = np.array([model.value(name) for name in self.parts.free])
@@ -188,7 +189,7 @@ class _Controlled:
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"control: malformed entry ({error}); run the problem again") from error
         self.model, self.start, self.period = model, np.asarray(state, float), period
-        self.period_free = "period" not in entry["pins"]
+        self.period_free = "period" not in entry["pins"] and not model.forced
         given, wanted = self.coefficients.shape, (len(names), self.parts.basis.whole)
         if given != wanted or not np.all(np.isfinite(self.coefficients)):
             raise InputError(f"control.coefficients: {given} numbers; {wanted[0]} x {wanted[1]} are needed")
@@ -207,7 +208,14 @@ class _Controlled:
         """A function of an arc, derived once in a thread for motions that differ in freed parameters alone."""
         parts, mode = self.parts, self.parts.mode(arc)
         names = (*parts.free, *parts.model.controls)
-        key = likeness(mode, names), repr(parts.control), parts.basis, parts.symmetry, mode.parameter_names
+        key = (
+            likeness(mode, names),
+            repr(parts.control),
+            parts.basis,
+            parts.symmetry,
+            mode.parameter_names,
+            parts.cycles,
+        )
         return _functions((derive.__name__, arc, *key, get_ident()), lambda: derive(arc))
 
     @cached_property
@@ -304,22 +312,24 @@ class _Controlled:
         return [part.reshape(-1, r, order="F") for part in parts]
 
     def _instant(self, arc: int) -> ca.Function:
-        """(x, u, free) -> what `instant` says."""
-        model, parts = self.parts.mode(arc), self.parts
+        """(t, x, u, free) -> what `instant` says."""
+        model, parts, t = self.parts.mode(arc), self.parts, ca.SX.sym("t")
         x, u, free = (ca.SX.sym("x", parts.size), ca.SX.sym("u", len(parts.model.controls)),
                       ca.SX.sym("free", len(parts.free)))  # fmt: skip
         p = model.parameters((*parts.free, *parts.model.controls), ca.vertcat(free, u))
-        rate = model.rate(0.0, x, p)
+        rate = model.rate(t, x, p)
         costs = ca.vertcat(
             parts.stated(parts.control.cost, x, p, "control.cost", free),
             *(parts.stated(task.expression, x, p, "task.expression", free) for task in parts.means),
         )
         outputs = (rate, costs, ca.jacobian(rate, u), ca.jacobian(costs, u))
-        return ca.Function("pointwise", [x, u, free], [ca.densify(value) for value in outputs])
+        return ca.Function("pointwise", [t, x, u, free], [ca.densify(value) for value in outputs])
 
     def instant(self, segment: int, x: np.ndarray, u: np.ndarray) -> list[np.ndarray]:
-        """f, L and the tasks' integrands, df/du and the derivatives of these by u, at a state and controls."""
-        return [value.full() for value in self._pointwise[self.parts.arc(segment)](x, u, self.free)]
+        """f, L and the tasks' integrands, df/du and the derivatives of these by u, where a segment begins but for state
+        and controls."""
+        t = self.parts.time(self.whole.phases(segment)[0])
+        return [value.full() for value in self._pointwise[self.parts.arc(segment)](t, x, u, self.free)]
 
     @cached_property
     def instants(self) -> list[list[np.ndarray]]:

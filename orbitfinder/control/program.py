@@ -27,7 +27,7 @@ from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.integrate.rk8 import one_step
-from orbitfinder.loops.conditions import pinned
+from orbitfinder.loops.conditions import clock, pinned
 from orbitfinder.loops.control import Basis, Control, Task, stated
 from orbitfinder.loops.ipopt import minimised, minimiser
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
@@ -72,6 +72,8 @@ class Arrangement:
     steps: int
     varied: tuple[str, ...] = ()
     """of the control's numbers those that are unknowns: they follow the freed parameters wherever those are given"""
+    cycles: int = 0
+    """periods of the forcing in one of the motion"""
     derived: Kept[Any] = field(init=False, default_factory=lambda: Kept(8))
     """What programs have derived of it"""
 
@@ -169,10 +171,14 @@ class Arrangement:
         physical = ca.vertcat(free[: len(self.free), :], *u)
         p = model.parameters(names, physical)
         unfolded = () if basis.arcs else self.symmetry.unfolded(model)
-        rate = vector_field(model, names, unfolded)(0.0, x, s, physical)
+        rate = vector_field(model, names, unfolded)(self.time(given[0] + moment * given[1]), x, s, physical)
         rates = [self.stated(self.control.cost, x, p, "control.cost", free)]
         rates += [self.task(task, x, p, free) for task in self.means]
         return [moment, x, s, given], rate, p, rates
+
+    def time(self, phase: Any) -> Any:
+        """The time (s) of the forcing at a phase of the motion."""
+        return phase * self.cycles * self.model.driving_period if self.cycles else 0.0
 
     @property
     def tail(self) -> int:
@@ -252,6 +258,8 @@ def signs_of(model: Model, symmetry: Symmetry) -> tuple[int, ...]:
     """Of each control, whether a symmetry keeps (1) or reverses (-1) it; () without one. Raises `InputError`."""
     if not symmetry.maps:
         return ()
+    if model.forced:
+        raise InputError("symmetry: controlled motions of forced systems have none; use symmetry = 'none'")
     if symmetry.reverses or symmetry.fraction != 0.5:
         raise InputError("symmetry: controlled motions repeat mirrored after half a period (reflection), or have none")
     mirror = mirror_of(model, symmetry)
@@ -273,17 +281,23 @@ def signs_of(model: Model, symmetry: Symmetry) -> tuple[int, ...]:
 
 
 def arranged(
-    model: Model, symmetry: Symmetry, free: tuple[str, ...], control: Control, steps: int, varied: tuple[str, ...] = ()
-) -> Arrangement:
+    model: Model, symmetry: Symmetry, free: tuple[str, ...], control: Control, steps: int, varied: tuple[str, ...] = (),
+    cycles: int = 0,
+) -> Arrangement:  # fmt: skip
     """The arrangement of a controlled motion, the same for a thread that asks again. Raises `InputError`."""
     control = replace(control, guess={})
-    key = Same(model), symmetry, free, repr(control), steps, varied, get_ident()
-    return _arrangements(key, lambda: _arranged(model, symmetry, free, control, steps, varied))
+    given = symmetry, free, control, steps, varied, cycles
+    return _arrangements((Same(model), repr(given), get_ident()), lambda: _arranged(model, *given))
 
 
 def _arranged(
-    model: Model, symmetry: Symmetry, free: tuple[str, ...], control: Control, steps: int, varied: tuple[str, ...]
-) -> Arrangement:
+    model: Model, symmetry: Symmetry, free: tuple[str, ...], control: Control, steps: int, varied: tuple[str, ...],
+    cycles: int,
+) -> Arrangement:  # fmt: skip
+    if model.forcing_period is not None:
+        by = ca.MX.sym("by", len(names := (*free, *model.controls)))
+        for k in ca.jacobian(ca.MX(model.forcing_period(model.parameters(names, by))), by).sparsity().get_col():
+            raise InputError(f"free: {names[k]}: the forcing's period, in which controls are given, depends on it")
     arcs = len(model.cycle)
     signs = signs_of(model, symmetry)
     count = control.intervals * max(arcs, 1)
@@ -293,7 +307,7 @@ def _arranged(
         raise InputError(f"control.intervals: must be even with this symmetry, got {control.intervals}")
     part = count // 2 if signs else count
     basis = Basis(control.shape, part, control.harmonics, arcs, 0.5 if signs else 1.0, signs)
-    return Arrangement(model, control, symmetry, basis, freed(model, free), steps, varied)
+    return Arrangement(model, control, symmetry, basis, freed(model, free), steps, varied, cycles)
 
 
 @lru_cache(maxsize=32)
@@ -322,7 +336,7 @@ class Program:
     def __init__(self, problem: Problem, control: Control, steps: int, varied: tuple[str, ...] = ()) -> None:
         self.problem, self.control = problem, control
         form = problem.model, problem.boundary, problem.free
-        self.parts = parts = arranged(*form, control, steps, varied)
+        self.parts = parts = arranged(*form, control, steps, varied, problem.forcing_cycles)
         self.equations: Equations = parts.derived("equations", lambda: Equations(*form))
         assert self.equations.free == self.parts.free
         count = self.parts.basis.intervals
@@ -438,7 +452,8 @@ class Program:
     def loop(self, guess: Unknowns) -> Loop:
         """The loop: closed, at the pins, its phase fixed where nothing else fixes it."""
         problem, equations = self.problem, self.equations
-        conditions = tuple(pinned(equations, pin.name, pin.value) for pin in problem.pin)
+        pins = (pinned(equations, pin.name, pin.value) for pin in problem.pin)
+        conditions = (*clock(equations, self.parts.cycles), *pins)
         loop = Loop(equations, boundary_constants(problem, guess.nodes), conditions)
         normals = equations.phases(guess)
         timed = not (problem.boundary.reverses or problem.model.forced or problem.model.hybrid)
@@ -452,7 +467,7 @@ class Program:
         """How far the ends of the segments are from those by shooting in steps half as long, relative to the motion."""
         problem, parts = self.problem, self.parts
         form = problem.model, problem.boundary, problem.free
-        finer = arranged(*form, self.control, 2 * parts.steps, parts.varied)
+        finer = arranged(*form, self.control, 2 * parts.steps, parts.varied, parts.cycles)
         w, worst = solution.unknowns, 0.0
         size = floored(np.abs(w.nodes).max(axis=0))
         points = np.split(solution.points, len(w.nodes))

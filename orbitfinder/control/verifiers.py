@@ -15,10 +15,12 @@ from orbitfinder.orbits.certify import (
     RECORDED,
     SAMPLES_OFF,
     VERIFIERS,
+    Nearby,
     Trial,
     Verifier,
     between_steps,
     expected_checks,
+    forcing_check,
     holding,
 )
 from orbitfinder.records.certificate import Check, at_most
@@ -40,6 +42,9 @@ def _checks(trial: Trial) -> Iterator[Check | None]:
     orbit, model, allowed, fit = trial.orbit, trial.model, trial.allowed, seen.fit
     assert orbit.control is not None
     yield from trial.closing("DOP853, the recorded control; ", "orbit and control, in extents")
+    if model.forced:
+        near = Nearby(model, seen)
+        yield from (forcing_check(orbit, model), near.time_dependence(), near.smooth())
     yield trial.moving()
     yield _covered(trial, seen)
     yield between_steps(*seen.unseen, "a segment")

@@ -214,10 +214,10 @@ class Problem(Shown):
         """The model as its controls act on it. Raises `InputError`."""
         if not self.model.controls:
             raise InputError("control: this system has no controls; give motors or controls to the system")
-        if self.model.forced or self.model.constraint is not None:
+        if self.model.constraint is not None:
             raise InputError(
-                "control: not of systems forced in time or under constraints; make the clock a state, or describe the "
-                "mechanism in minimal coordinates (of.linkages.minimal_linkage, lagrange)"
+                "control: not of systems under constraints; describe the mechanism in minimal coordinates "
+                "(of.linkages.minimal_linkage, lagrange)"
             )
         for name in ("objective", "constraints", "phase_condition", "coordinate"):
             if getattr(self, name) not in ("nearest", (), None):

@@ -365,12 +365,12 @@ def _smooth_checks(trial: Trial) -> Iterator[Check | None]:
     still = float(np.abs(seen.motion.path / seen.tour.units).min(axis=0).max())  # steps are taken to shares of it
     rough = PAIRED * VARIED.relative_tolerance * still * seen.varied / nonzero(seen.norm)
     kept = max(allowed.trivial, passing, taken, min(rough, allowed.multipliers))
-    near, moving = _Nearby(model, seen), "" if orbit.shift else reduction(model, orbit)
+    near, moving = Nearby(model, seen), "" if orbit.shift else reduction(model, orbit)
     by = "DOP853" if seen.motion.missed is None else "extrapolation in long double"
     yield from trial.closing(f"{by} on {seen.motion.formulation}; ")
     if model.conservative:
         yield at_most("energy_drift", seen.drift, allowed.energy_drift + gap, "relative to the energy exchanged")
-    yield _forcing_check(orbit, model)
+    yield forcing_check(orbit, model)
     yield near.time_dependence()
     if model.forced:  # where nothing else tries the variations: no flow is kept
         yield near.smooth()
@@ -405,8 +405,8 @@ def _large_checks(trial: Trial) -> Iterator[Check | None]:
     seen, orbit, model = trial.seen, trial.orbit, trial.model
     known = min(KNOWN * trial.second, LEAST_KNOWN)
     yield from trial.closing("Gauss' steps on the accelerations; ", second="by fewer steps, elsewhere", known=known)
-    yield _forcing_check(orbit, model)
-    near, gap = _Nearby(model, seen), seen.closes.gap
+    yield forcing_check(orbit, model)
+    near, gap = Nearby(model, seen), seen.closes.gap
     yield near.time_dependence()
     yield from near.invariants()
     yield trial.moving()
@@ -517,7 +517,7 @@ def _turns(orbit: Orbit, model: Model) -> np.ndarray:
     return np.asarray(orbit.winding, int)
 
 
-def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
+def forcing_check(orbit: Orbit, model: Model) -> Check | None:
     """The period of a forced motion is a whole multiple of the forcing's."""
     if model.forcing_period is None:
         return None
@@ -526,7 +526,7 @@ def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
     return at_most("forcing_period", abs(orbit.period / wanted - 1), 1e-14, f"period / {cycles} forcing periods - 1")
 
 
-def _minimal_period(trial: Trial, near: _Nearby, seen: Evidence) -> Check | None:
+def _minimal_period(trial: Trial, near: Nearby, seen: Evidence) -> Check | None:
     """The motion, and what forces it, do not come back before the period is over."""
     forced, shifts = near.model.forced, shifts_of(near.model)
     apart = beside(trial.turns, [shifts[name].direction for name in trial.orbit.shift])
@@ -678,7 +678,7 @@ def expected_checks(orbit: Orbit, model: Model) -> list[Check]:
     return checks
 
 
-class _Nearby:
+class Nearby:
     """Seeded moments and states about a motion, and the accelerations (rates of first order) there in extents.
 
     What a certificate would otherwise take on trust, that the system is what its description says, is tried on the
