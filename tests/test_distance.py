@@ -212,6 +212,14 @@ def test_a_slow_bursters_round_off_is_not_a_feature():
         assert not check(certify(replace(orbit, nodes=wrong)), "nodes").passed
 
 
+def test_what_long_double_may_tell_needs_a_compiler(monkeypatch):
+    """A record that was certified in long double may be refused where there is none."""
+    model = beside({"z": "-1e-2*(z-1)"})
+    monkeypatch.setenv("CC", "no-such-compiler-here")
+    notes = [check(certify(flat(model, [*CYCLE, 1.0 + off], PERIOD), model), "distance").note for off in (0.0, 1e-8)]
+    assert ["needs a C compiler" in note for note in notes] == [False, True]
+
+
 @pytest.mark.parametrize("off", [0.0, 1e-3])
 def test_what_stands_still_is_measured_in_its_own_size(off):
     """A conical pendulum, whose angle from the vertical stays: where it passes a mirror is looked for all the same."""

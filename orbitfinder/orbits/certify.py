@@ -14,6 +14,7 @@ from orbitfinder._runtime.rooms import filled
 from orbitfinder._runtime.sizes import EPSILON, LEAST, nonzero, size_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.automaton import Arc
+from orbitfinder.integrate.compiled import available
 from orbitfinder.integrate.dop853 import integrate_in
 from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.evaluate import one_thread
@@ -367,7 +368,10 @@ def _smooth_checks(trial: Trial) -> Iterator[Check | None]:
     kept = max(allowed.trivial, passing, taken, min(rough, allowed.multipliers))
     near, moving = Nearby(model, seen), "" if orbit.shift else reduction(model, orbit)
     by = "DOP853" if seen.motion.missed is None else "extrapolation in long double"
-    yield from trial.closing(f"{by} on {seen.motion.formulation}; ")
+    said = "orbit, in extents of the motion"
+    if seen.motion.missed is None and seen.closes.distance > allowed.distance and not available()[0]:
+        said += "; long double, which may tell more, needs a C compiler"
+    yield from trial.closing(f"{by} on {seen.motion.formulation}; ", said)
     if model.conservative:
         yield at_most("energy_drift", seen.drift, allowed.energy_drift + gap, "relative to the energy exchanged")
     yield forcing_check(orbit, model)
