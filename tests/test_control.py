@@ -483,6 +483,10 @@ def test_a_forced_system_is_controlled_at_the_phases_of_its_forcing() -> None:
     by = of.find_orbit(replace(problem, control=replace(problem.control, method="collocation")))
     assert by.control is not None and by.control["cost"] == pytest.approx(orbit.control["cost"], rel=1e-9)
     assert abs(max(orbit.control["coefficients"][0]) - 0.25) < 1e-8  # a limit that is met, by IPOPT from inside
+    assert orbit.control["method"] == "shooting"
+    # in 8 intervals shooting ran away ("Invalid_Number_Detected")
+    coarse = of.find_orbit(replace(problem, control=replace(problem.control, intervals=8)))
+    assert coarse.certificate is not None and coarse.certificate.passed
 
 
 @pytest.mark.slow

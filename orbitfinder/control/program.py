@@ -13,6 +13,7 @@ Programs that differ in their guesses alone are derived once: guesses enter as n
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from threading import get_ident
@@ -484,8 +485,8 @@ class Program:
 def optimum(problem: Problem, control: Control, tolerance: float) -> tuple[Program, Optimum]:
     """The controlled motion of a problem, with as many steps as its states no longer depend on, closed to round-off.
 
-    It starts at the guess. The last digits of a collocated motion are those of shooting under its control. Raises
-    `ConvergenceError`.
+    It starts at the guess; where shooting does not get there, collocation may. The last digits of a collocated motion
+    are those of shooting under its control. Raises `ConvergenceError`.
     """
     steps = -(-16 * control.harmonics // control.intervals) if control.shape == "fourier" else 1  # of the highest 16
     order, enough = (8, AGREEMENT) if control.method == "shooting" else (2 * POINTS, COLLOCATED)
@@ -498,6 +499,9 @@ def optimum(problem: Problem, control: Control, tolerance: float) -> tuple[Progr
             solution = program.solved(start, tolerance)
         except ConvergenceError:
             if steps >= rough:
+                if control.method == "shooting":
+                    with suppress(ConvergenceError):  # its steps do not run away
+                        return optimum(problem, replace(control, method="collocation"), tolerance)
                 raise
             steps = rough  # in steps that lose the motion costs have no lower bound
             program = Program(problem, control, steps)
