@@ -208,15 +208,8 @@ class _Controlled:
         """A function of an arc, derived once in a thread for motions that differ in freed parameters alone."""
         parts, mode = self.parts, self.parts.mode(arc)
         names = (*parts.free, *parts.model.controls)
-        key = (
-            likeness(mode, names),
-            repr(parts.control),
-            parts.basis,
-            parts.symmetry,
-            mode.parameter_names,
-            parts.cycles,
-        )
-        return _functions((derive.__name__, arc, *key, get_ident()), lambda: derive(arc))
+        key = likeness(mode, names), repr(parts.control), parts.basis, parts.symmetry, mode.parameter_names
+        return _functions((derive.__name__, arc, parts.cycles, *key, get_ident()), lambda: derive(arc))
 
     @cached_property
     def _run(self) -> tuple[list[np.ndarray], list[Trace]]:

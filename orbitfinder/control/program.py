@@ -287,8 +287,8 @@ def arranged(
 ) -> Arrangement:  # fmt: skip
     """The arrangement of a controlled motion, the same for a thread that asks again. Raises `InputError`."""
     control = replace(control, guess={})
-    given = symmetry, free, control, steps, varied, cycles
-    return _arrangements((Same(model), repr(given), get_ident()), lambda: _arranged(model, *given))
+    key = Same(model), symmetry, free, repr(control), steps, varied, cycles, get_ident()
+    return _arrangements(key, lambda: _arranged(model, symmetry, free, control, steps, varied, cycles))
 
 
 def _arranged(
