@@ -162,7 +162,7 @@ def certified(orbit: Orbit, model: Model) -> Orbit:
 
 
 def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = False) -> tuple[Orbit, Certificate]:
-    """An orbit, with the multipliers recomputed here where they are `better` known, and its certificate."""
+    """An orbit, with multipliers and symmetry as recomputed here where they are `better` known, and its certificate."""
     turns = _turns(orbit, model)
     turned(model, turns, orbit.shift)
     if fault := _malformed(orbit):
@@ -175,7 +175,10 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
             seen, second = verifier.gather(orbit, model, turns)
     except (ConvergenceError, IntegrationError, np.linalg.LinAlgError) as error:
         return orbit, Certificate((refused(verifier.missing, error),))
-    orbit = _better_known(orbit, seen.floquet) if better and isinstance(seen, Evidence) else orbit
+    if better and isinstance(seen, Evidence):
+        found = _symmetry_of(orbit, seen, model)
+        orbit = _better_known(orbit, seen.floquet)
+        orbit = orbit if found == NONE.name else replace(orbit, symmetry=found)
     trial = Trial(orbit, model, turns, allowed, seen, second)
     checks, late = tuple(check for check in verifier.checks(trial) if check), seen.closes.period_error * orbit.period
     return orbit, Certificate(checks, trial.scale, seen.closure, late)
@@ -608,7 +611,12 @@ def _record_checks(trial: Trial, seen: Evidence, multipliers: float) -> Iterator
 
 
 def _same_symmetry(orbit: Orbit, evidence: Recomputed, model: Model) -> Check:
-    """The recorded symmetry is the one found; of what a model declares, a record from before may say nothing.
+    return same("symmetry", orbit.symmetry, _symmetry_of(orbit, evidence, model))
+
+
+def _symmetry_of(orbit: Orbit, evidence: Recomputed, model: Model) -> str:
+    """The recorded symmetry if it is found, else what is; of what a model declares, a record from before may say
+    nothing.
 
     Fast motions pass their centre between samples: before a symmetry is denied, more of them are looked at. A family's
     point claims the symmetry of its formulation only, and may have more.
@@ -626,7 +634,7 @@ def _same_symmetry(orbit: Orbit, evidence: Recomputed, model: Model) -> Check:
     if isinstance(orbit, FamilyPoint) and orbit.symmetry in known:
         had = {one for name in names for one in (*known[name].maps, *known[name].both)}
         names += [orbit.symmetry] * (set(known[orbit.symmetry].maps) <= had)
-    return same("symmetry", orbit.symmetry, orbit.symmetry if orbit.symmetry in names else names[0])
+    return orbit.symmetry if orbit.symmetry in names else names[0]
 
 
 def _undecided(orbit: Orbit, model: Model) -> str:
