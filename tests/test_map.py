@@ -181,6 +181,8 @@ def test_records_are_read_and_doctored_ones_refused(plane, tmp_path):
     sample[0, 2] = 0
     assert verified(replace(plane, sample=sample), model).failures == ("sample",)
     document = json.loads(file.read_text())
+    with pytest.raises(ValueError, match="periods: expected positive numbers where there are orbits"):
+        replace(plane, periods=-plane.periods)._check()
     for entry, value in (("by", "colour"), ("curve", {}), ("parameters", ["a"])):
         file.write_text(json.dumps(document | {entry: value}))
         with pytest.raises(InputError):

@@ -23,7 +23,7 @@ from orbitfinder.records.family import load_family
 from orbitfinder.show import plot
 from orbitfinder.show.diagram import changes, verdicts
 from orbitfinder.show.scene import tip
-from orbitfinder.show.style import arrows, line_style, new_figure, place_labels, rounded, told_in
+from orbitfinder.show.style import arrows, line_style, new_figure, place_labels, rounded, save_png, told_in
 from orbitfinder.show.svg import COLOURS
 
 RESULTS = Path(__file__).parents[1] / "results"
@@ -112,6 +112,11 @@ def test_titles_are_text_and_never_clipped(orbit, title):
     model = build_model(orbit.system)
     for make in (plot.time_histories, plot.phase_portraits, plot.swept_configuration, plot.energy_error):
         drawn(make(replace(orbit, title=title), model))
+
+
+def test_letters_that_the_font_lacks_are_boxes_and_no_warning(orbit, tmp_path):
+    figure = plot.energy_error(replace(orbit, title="\u632f\u5b50 \x1b[2J"), build_model(orbit.system))
+    assert save_png(figure, tmp_path / "a.png").stat().st_size > 1000
 
 
 @pytest.mark.parametrize(

@@ -323,7 +323,7 @@ def _failures(plane: ParameterPlane, made: ParameterMap, pixel: np.ndarray) -> t
         head = np.zeros(solution.place.head.size)
         point = make_point(plane.curve, solution, head, made.parameters[0], None, index=0, arclength=0.0, step=0.0)
         return certify(point, with_parameters(plane.curve.equations.model, point.free)).failures
-    except UNSOLVED as error:
+    except (*UNSOLVED, np.linalg.LinAlgError) as error:
         return (type(error).__name__,)
 
 

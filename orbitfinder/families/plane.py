@@ -147,6 +147,8 @@ class ParameterMap(Tabled):
             raise ValueError(
                 "columns, rows, nodes, mesh: expected increasing values of the parameters, and orbits there"
             )
+        if not np.all(self.periods[self.known] > 0):
+            raise ValueError("periods: expected positive numbers where there are orbits")
         if self.by not in COLOURED:
             raise ValueError(f"by: {self.by!r} is none of {', '.join(COLOURED)}")
         for name, most in {"blank": len(BLANK), "verdicts": len(STABILITIES)}.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import textwrap
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import product
@@ -255,7 +256,9 @@ def save_both(figure: Any, stem: Path) -> list[Path]:
 
 def _saved(figure: Any, path: Path, **more: Any) -> Path:
     buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=150, **more)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from")  # which is drawn as a box
+        figure.savefig(buffer, dpi=150, **more)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, buffer.getvalue())
     return path
