@@ -14,9 +14,9 @@ Numbers with their sources are in published.csv:
 
 from __future__ import annotations
 
+import argparse
 import csv
 import statistics
-import sys
 import time
 from pathlib import Path
 
@@ -68,7 +68,10 @@ def row(table: str, name: str, asked: of.Problem) -> tuple[bool, float, str]:
 
 def main() -> None:
     """Go through the tables and write the page."""
-    given, chosen = list(csv.DictReader((HERE / "published.csv").open(encoding="utf-8"))), sys.argv[1:]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tables", nargs="*", metavar="TABLE")
+    given = list(csv.DictReader((HERE / "published.csv").open(encoding="utf-8")))
+    chosen = parser.parse_args().tables
     lines, counts, spent = list[str](), dict[str, list[bool]](), list[float]()
     for each in given:
         table, name = each["table"], each["name"]

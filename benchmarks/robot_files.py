@@ -12,8 +12,8 @@ example-robot-data 6.0.0.
 
 from __future__ import annotations
 
+import argparse
 import re
-import sys
 from pathlib import Path
 
 import mujoco
@@ -55,8 +55,10 @@ def beside_mujoco(model: of.Model, path: Path) -> float:
 
 def main() -> None:
     """Read all, write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("packages", nargs="+", metavar="NAME=FOLDER")
     table, counts = list[str](), dict[str, list[int]]()
-    for given in sys.argv[1:]:
+    for given in parser.parse_args().packages:
         name, folder = given.split("=", 1)
         for path in sorted(file for file in Path(folder).rglob("*") if file.suffix in (".xml", ".urdf")):
             if path.suffix == ".xml" and "<worldbody" not in path.read_text(encoding="utf-8"):
