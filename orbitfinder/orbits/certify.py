@@ -176,9 +176,9 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
     except (ConvergenceError, IntegrationError, np.linalg.LinAlgError) as error:
         return orbit, Certificate((refused(verifier.missing, error),))
     if better and isinstance(seen, Evidence):
-        found = _symmetry_of(orbit, seen, model)
+        symmetry = _symmetry_of(orbit, seen, model)
         orbit = _better_known(orbit, seen.floquet)
-        orbit = orbit if found == NONE.name else replace(orbit, symmetry=found)
+        orbit = orbit if symmetry == NONE.name else replace(orbit, symmetry=symmetry)
     trial = Trial(orbit, model, turns, allowed, seen, second)
     checks, late = tuple(check for check in verifier.checks(trial) if check), seen.closes.period_error * orbit.period
     return orbit, Certificate(checks, trial.scale, seen.closure, late)
