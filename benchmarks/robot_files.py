@@ -16,7 +16,6 @@ import argparse
 import re
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from machine import processor, versions
 
@@ -26,18 +25,20 @@ from orbitfinder.errors import OrbitfinderError
 PAGE = Path(__file__).parents[1] / "results" / "validation" / "robot_files.md"
 IGNORED = ("friction", "fluid", "tendons", "equalities")
 OFF = ("CONTACT", "LIMIT", "FRICTIONLOSS", "EQUALITY", "ACTUATION")
-TURNING = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 def beside_mujoco(model: of.Model, path: Path) -> float:
     """The largest difference of accelerations over the largest acceleration."""
+    import mujoco  # of the extra [robot]; --help needs none
+
+    turning = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_FREE)
     one, random, worst = mujoco.MjModel.from_xml_path(str(path)), np.random.default_rng(1), 0.0
     for name in OFF:
         one.opt.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")
     one.opt.density = one.opt.viscosity = 0.0
     one.tendon_stiffness[:], one.tendon_damping[:] = 0.0, 0.0
     data, names = mujoco.MjData(one), list(model.state_names[: model.degrees_of_freedom])
-    plain = [k for k in range(one.njnt) if one.jnt_type[k] not in TURNING]
+    plain = [k for k in range(one.njnt) if one.jnt_type[k] not in turning]
     here, there = [names.index(one.joint(k).name) for k in plain], one.jnt_dofadr[plain]
     rest = [np.setdiff1d(np.arange(size), own) for size, own in ((len(names), here), (one.nv, there))]
     for _ in range(4):
