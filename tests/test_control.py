@@ -417,7 +417,7 @@ def test_the_order_of_fourier_coefficients_is_what_is_said() -> None:
         (lambda: of.Task("x", equals=1.0), "cannot equal a number always"),
         (lambda: of.find_orbit(replace(pick(4.0, 10), control=of.Control("forse**2"))), "unknown name 'forse'"),
         (lambda: of.find_orbit(pick(4.0, 7)), "is no boundary of the control's intervals"),
-        (lambda: of.find_orbit(shaken(free=("w",))), "free: w: the forcing's period, in which controls are given, dep"),
+        (lambda: of.find_orbit(shaken(free=("w",))), "w: the forcing's period depends on it; neither free it"),
         (lambda: of.find_orbit(shaken(symmetry="reflection")), "symmetry: controlled motions of forced systems have"),
         (lambda: expression("__import__('os')", {}, "cost"), "is not allowed"),
         (lambda: expression("x.real", {"x": 1.0}, "cost"), "is not allowed"),
@@ -494,6 +494,17 @@ def test_a_forced_system_is_controlled_at_the_phases_of_its_forcing() -> None:
 def test_a_period_that_is_not_the_forcings_is_rejected_by_name(how: dict[str, Any], failed: str) -> None:
     certificate = of.find_orbit(shaken(**how)).certificate
     assert certificate is not None and certificate.failures == (failed,)
+
+
+@pytest.mark.slow
+def test_a_false_period_of_what_the_control_alone_brings_in_is_rejected() -> None:
+    """Without the control the time is not in these equations."""
+    rates = {"x": "v", "v": "-x-0.3*v+u*(1.5+cos(1.3*t))"}
+    model = of.equations(rates, {"u": 0.0}, period="4", controls={"u": [-2, 2]})
+    task = of.Task("v^2", "mean", equals=0.05)
+    control = of.Control("-x + u^2 - 0.05*v^2", "linear", intervals=8, guess={"u": 0.1}, tasks=(task,))
+    certificate = of.find_orbit(of.Problem(model, of.Guess([0.5, 0.3], 4.0), control=control)).certificate
+    assert certificate is not None and certificate.failures == ("time_dependence",)
 
 
 @pytest.mark.slow

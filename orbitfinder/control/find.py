@@ -319,8 +319,8 @@ class _Controlled:
         return ca.Function("pointwise", [t, x, u, free], [ca.densify(value) for value in outputs])
 
     def instant(self, segment: int, x: np.ndarray, u: np.ndarray) -> list[np.ndarray]:
-        """f, L and the tasks' integrands, df/du and the derivatives of these by u, where a segment begins but for state
-        and controls."""
+        """f, L and the tasks' integrands, df/du and the derivatives of these by u, at a state and controls and the time
+        at which a segment begins."""
         t = self.parts.time(self.whole.phases(segment)[0])
         return [value.full() for value in self._pointwise[self.parts.arc(segment)](t, x, u, self.free)]
 

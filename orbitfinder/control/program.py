@@ -298,7 +298,7 @@ def _arranged(
     if model.forcing_period is not None:
         by = ca.MX.sym("by", len(names := (*free, *model.controls)))
         for k in ca.jacobian(ca.MX(model.forcing_period(model.parameters(names, by))), by).sparsity().get_col():
-            raise InputError(f"free: {names[k]}: the forcing's period, in which controls are given, depends on it")
+            raise InputError(f"{names[k]}: the forcing's period depends on it; neither free it nor control it")
     arcs = len(model.cycle)
     signs = signs_of(model, symmetry)
     count = control.intervals * max(arcs, 1)

@@ -9,7 +9,7 @@ import numpy as np
 from orbitfinder._runtime.sizes import size_of
 from orbitfinder.control.find import ControlledEvidence, controlled_samples, gather_controlled
 from orbitfinder.loops.symmetry import NONE
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, altered
 from orbitfinder.orbits.certify import (
     NODES_OFF,
     RECORDED,
@@ -43,7 +43,11 @@ def _checks(trial: Trial) -> Iterator[Check | None]:
     assert orbit.control is not None
     yield from trial.closing("DOP853, the recorded control; ", "orbit and control, in extents")
     if model.forced:
-        near = Nearby(model, seen)
+        # at controls within the recorded ones: at 0 a forcing may have no part in the equations
+        values, coefficients = model.parameter_values.copy(), np.array(orbit.control["coefficients"], float)
+        places = [model.parameter_index(name) for name in orbit.control["names"]]
+        values[places] = coefficients.min(axis=1) + 0.618 * np.ptp(coefficients, axis=1)
+        near = Nearby(altered(model, parameter_values=values), seen)
         yield from (forcing_check(orbit, model), near.time_dependence(), near.smooth())
     yield trial.moving()
     yield _covered(trial, seen)
