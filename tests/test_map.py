@@ -163,6 +163,14 @@ def test_what_is_stopped_is_blank():
     assert (made.blank == STOPPED).sum() > 50 and BLANK[STOPPED] in made.counts
 
 
+def test_an_orbit_whose_matrices_are_singular_is_not_certified(plane, monkeypatch):
+    def singular(*_, **__):
+        raise np.linalg.LinAlgError("singular matrix")
+
+    monkeypatch.setattr("orbitfinder.families.mapping.make_point", singular)
+    assert {"sample", "certified"} <= set(verified(plane, mathieu()).failures)
+
+
 def test_records_are_read_and_doctored_ones_refused(plane, tmp_path):
     file = of.save_map(plane, tmp_path / "map.json")
     model, again = mathieu(), load(file)
