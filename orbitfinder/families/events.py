@@ -269,7 +269,8 @@ def _between(interval: Interval, low: float, high: float, depth: int) -> list[tu
     """The passages of a part of an interval, halved until they explain what is beyond +1 and -1 at its ends."""
     a, b = interval.sample(low), interval.sample(high)
     inside = _passed(interval, a, b)
-    if all(_parity(inside, sign) == (_beyond(a, sign) + _beyond(b, sign)) % 2 for sign in (1, -1)):
+    through = [test.multiplier.real for _, test in inside if not _turning(test)]
+    if all(sum(mu * sign > 0 for mu in through) % 2 == (_beyond(a, sign) + _beyond(b, sign)) % 2 for sign in (1, -1)):
         return inside
     if depth == 0:
         if interval.length > UNTOLD:
@@ -313,8 +314,3 @@ def _beyond(sample: Sample, sign: int) -> int:
     """How many real multipliers are beyond +1 or -1."""
     values = multipliers(sample)
     return sum(is_real(mu) and sign * mu.real > 1 for mu in values)
-
-
-def _parity(passed: list[tuple[Sample, Test]], sign: int) -> int:
-    """Whether an odd number of passages is through +1 or -1."""
-    return sum(not _turning(test) and test.multiplier.real * sign > 0 for _, test in passed) % 2

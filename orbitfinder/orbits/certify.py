@@ -439,7 +439,7 @@ def _large_checks(trial: Trial) -> Iterator[Check | None]:
     yield trial.energy(size)
     yield trial.number("action", size_of(max(abs(seen.action), 1e-3 * size * orbit.period)), trial.room)
     yield from trial.linear(trial.allowed.multipliers)
-    yield _same_symmetry(orbit, seen, model)
+    yield same("symmetry", orbit.symmetry, _symmetry_of(orbit, seen, model))
     yield trial.record()
     for name, times, states, share in _pictured(orbit):
         yield trial.shown(name, np.abs((at(times) - states) / seen.extents).max(), share, 1.0)
@@ -594,7 +594,7 @@ def _record_checks(trial: Trial, seen: Evidence, multipliers: float) -> Iterator
     yield trial.energy(seen.exchanged)
     yield trial.number("action", bulk, trial.room)
     yield from trial.linear(multipliers)
-    yield _same_symmetry(orbit, seen, model)
+    yield same("symmetry", orbit.symmetry, _symmetry_of(orbit, seen, model))
     # mu and 1/mu of a matrix that takes up a few relative errors of the integration under way: |Phi| times what they
     # grow to
     paired, known = symplectic(model), PAIRED * VARIED.relative_tolerance * seen.varied * seen.norm
@@ -610,13 +610,8 @@ def _record_checks(trial: Trial, seen: Evidence, multipliers: float) -> Iterator
     yield trial.record()
 
 
-def _same_symmetry(orbit: Orbit, evidence: Recomputed, model: Model) -> Check:
-    return same("symmetry", orbit.symmetry, _symmetry_of(orbit, evidence, model))
-
-
 def _symmetry_of(orbit: Orbit, evidence: Recomputed, model: Model) -> str:
-    """The recorded symmetry if it is found, else what is; of what a model declares, a record from before may say
-    nothing.
+    """The recorded symmetry if it is found, else what is; of a declared one a record from before may say nothing.
 
     Fast motions pass their centre between samples: before a symmetry is denied, more of them are looked at. A family's
     point claims the symmetry of its formulation only, and may have more.

@@ -108,7 +108,12 @@ def write_page(folder: Path, numbers: Numbers) -> Path:
     """Write README.md from the parts' numbers."""
     text = PAGES.get_template("README.md.jinja").render(
         numbers, printed_orbits=ORBITS, tolerance=TOLERANCE, separation=SEPARATION, hours=HOURS_FOR_100_LINKS,
-        sizes=[*map(str, SIZES)], orbit_rows=_orbits(numbers["orbits"]), energy_rows=_energy(numbers["energy"]),
+        sizes=[*map(str, SIZES)], orbit_rows=_orbits(numbers["orbits"]),
+        energy_rows=[
+            [title, figure, *(f"{numbers['energy'][key][what]:.1e}" if what == "drift" or "dae" in key else ""
+                              for what in ("drift", "phi", "phidot"))]
+            for title, key, figure in METHODS
+        ],
         difference_rows=_differences(numbers["differences"]), chain_rows=_chains(numbers["derivation"]),
         linkage_rows=[
             [bar["title"], f"{bar['span']:g}", *(f"{bar[k]:.1e}" for k in ("drift", "phi", "phidot")), bar["motion"]]
@@ -131,14 +136,6 @@ def _orbits(numbers: Numbers) -> list[list[str]]:
             "yes" if orbit["certified"] else "NO",
         ])  # fmt: skip
     return rows
-
-
-def _energy(numbers: Numbers) -> list[list[str]]:
-    return [
-        [title, figure, *(f"{numbers[key][what]:.1e}" if what == "drift" or "dae" in key else ""
-                          for what in ("drift", "phi", "phidot"))]
-        for title, key, figure in METHODS
-    ]  # fmt: skip
 
 
 def _differences(numbers: Numbers) -> list[list[str]]:
