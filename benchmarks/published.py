@@ -84,7 +84,8 @@ def main() -> None:
         lines.append(line)
         print(f"{seconds:5.1f} s {line}", flush=True)
     told = [f"- {table}: {sum(passed)} of {len(passed)} certified" for table, passed in counts.items()]
-    print("\n".join(told), f"\nprocessor time: median {statistics.median(spent):.1f} s, most {max(spent):.1f} s")
+    told.append(f"- processor time: median {statistics.median(spent):.1f} s, most {max(spent):.1f} s")
+    print("\n".join(told))
     if not chosen:
         head = ["| table | orbit | certified | printed period | period | state moved | stability, or why not |",
                 "|---|---|---|---|---|---|---|"]  # fmt: skip

@@ -67,16 +67,14 @@ def extended(field: CasadiField) -> Extended | None:
     return attempted(function.name(), lambda: library(_code(function), lambda path, new: Extended(path), None))
 
 
-def in_long_double(field: ca.Function) -> Callable[[np.ndarray, np.ndarray, float, np.ndarray], np.ndarray] | None:
-    """(y, units, duration, tail) -> where a field of (t, y, s, free) leads from y at t = 0 with these s and parameters,
-    if long double can be had."""
+def in_long_double(field: ca.Function) -> Callable[..., np.ndarray] | None:
+    """(units, y, span, tail, first) -> where a field of (t, y, s, free) leads from y over a span with these s and
+    parameters, as `Extended.end` has it, if long double can be had."""
     t, y, *given = field.mx_in()
     ends = np.cumsum([0, *(each.numel() for each in given)]).tolist()
     tail = ca.MX.sym("tail", ends[-1])
     wide = extended(CasadiField(ca.Function("closing", [t, y, tail], [field(t, y, *ca.vertsplit(tail, ends))])))
-    if wide is None:
-        return None
-    return lambda y, units, duration, tail: wide.end(units, y, (0.0, duration), tail).astype(float)
+    return wide.end if wide else None
 
 
 def _code(function: ca.Function) -> str:

@@ -11,9 +11,12 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from orbitfinder.errors import UNSOLVED, ConvergenceError, IntegrationError
 from orbitfinder.integrate.dop853 import EVALUATIONS_PER_STEP, ReferenceSettings, Trace, integrate_in
+from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.field import vector_field
 from orbitfinder.integrate.march import Gridded, March, Marches, divided
 from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plane
-from orbitfinder.loops.loop import Unknowns
+from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.mechanics.kind import with_parameters
 
 STEP_ERROR = 5e-13
 """Estimated relative error of a Runge-Kutta step on a fresh mesh; the true one is hundreds of times smaller."""
@@ -158,7 +161,7 @@ def fitted(curve: Curve, place: Unknowns, several: bool = True) -> Unknowns:
     tries = [1, 4, 16] if p.march.wide else [1] if p.links or p.gridded else [1, 0]
     for times in tries:
         try:
-            place = first.on(divided(first.mesh, times)) if times else stepped(p.march, first, curve.units)
+            place = first.on(divided(first.mesh, times)) if times else stepped(p, first, curve.units)
             if not (times or several):
                 return place.on(divided(place.mesh, 2))
             for _ in range(2):
@@ -173,18 +176,16 @@ def fitted(curve: Curve, place: Unknowns, several: bool = True) -> Unknowns:
     return place
 
 
-def stepped(march: March | Marches, place: Unknowns, units: np.ndarray) -> Unknowns:
+def stepped(equations: Equations, place: Unknowns, units: np.ndarray) -> Unknowns:
     """The unknowns on a mesh of the steps that DOP853 takes from each node in `units` (d), as many in each segment."""
     pieces = []
     finest = STEP_ERROR / MESH.coarse
     settings = ReferenceSettings(finest, finest, 4 * EVALUATIONS_PER_STEP * MESH.most_steps)
-
-    def rates(t: float, y: np.ndarray) -> np.ndarray:
-        return np.asarray(march.rates(y[None], place.tail, np.array([t]))[0])
-
+    values = dict(zip(equations.free, place.free.tolist(), strict=True))
+    field = vector_field(accelerations(with_parameters(equations.model, values)))
     for node, span in zip(place.nodes, pairwise(place.edges * place.period), strict=True):
         traces: list[Trace] = []
-        integrate_in(units, rates, node, np.linspace(*span, 3), settings, traces=traces)
+        integrate_in(units, field, node, np.linspace(*span, 3), settings, traces=traces)
         pieces.append(traces[0].moments / place.period)
     each = _rounded(max(piece.size - 1 for piece in pieces))
     shares = np.linspace(0.0, 1.0, each + 1)[:-1]

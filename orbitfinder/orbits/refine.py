@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -230,28 +231,33 @@ class Refiner(Shown):
         mesh, states = part.symmetry.whole(w.mesh, states, displacement(problem, w, states[-1]))
         unfolding = np.zeros(equations.march.unfolding)
         w = Unknowns(states[: -1 : w.steps], w.period, unfolding, w.free, mesh)
-        path = alone = equations.varied(replace(w, nodes=w.nodes[:1]), states=True)
-        end = alone.ends[0]
+        path = through = equations.varied(replace(w, nodes=w.nodes[:1]), states=True)
+        end = through.ends[0]
         if (np.abs(end - states[-1]) / nonzero(np.ptp(states, axis=0))).max() > NEAR:
             path = equations.varied(w)
         else:
-            states = alone.states
+            states = through.states
         moments = uniform(1.0, NODES, rounded(SAMPLES / NODES))
-        samples = sampled(equations.march, w, states, moments)
+        samples, integral = sampled(equations.march, w, states, moments), path.integral
+        transitions, size, more = path.transitions, equations.size, w.tail[1:].size * equations.size
+        plain, units = equations.march.arcs[0], nonzero(np.ptp(states, axis=0))
+        wide = in_long_double(variational_field(plain.field, plain.integrand)) if size <= MOST else None
+        alone = in_long_double(plain.field) if wide else None
+        if wide and alone:
+            measures = [*units, *(units[:, None] / units).ravel("F"), *np.ones(more), integral or 1.0]
+            begin = np.concatenate([w.nodes[0], np.eye(size).ravel(), np.zeros(more + 1)])
+            with suppress(IntegrationError):
+                whole_end = wide(np.abs(measures), begin, (0.0, w.period), w.tail[1:])
+                rows = [w.nodes[0]]
+                for span in pairwise(moments * w.period):
+                    rows.append(alone(units, rows[-1], span, w.tail[1:], 1.0))
+                samples, end, integral = np.array(rows, float), whole_end[:size].astype(float), float(whole_end[-1])
+                transitions = whole_end[size : size + size**2].astype(float).reshape(1, size, size, order="F")
         equal = Unknowns(samples[: -1 : (moments.size - 1) // NODES], w.period, unfolding, w.free, moments)
         whole = sampled_period(problem, equal, samples)
         assert self.flow is not None
-        place, transitions, size = replace(w, unfolding=refined.unfolding), path.transitions, equations.size
-        wide = in_long_double(variational_field(self.flow.field)) if size <= MOST else None
-        if wide is not None:
-            unit, more = nonzero(np.ptp(states, axis=0)), np.zeros((place.tail.size - 1) * size)
-            measures = np.concatenate([unit, (unit[:, None] / unit).ravel("F"), more + 1.0])
-            begin = np.concatenate([w.nodes[0], np.eye(size).ravel(), more])
-            with suppress(IntegrationError):
-                whole_end = wide(begin, measures, w.period, place.tail[1:])
-                end, flat = whole_end[:size], whole_end[size : size + size**2]
-                transitions = flat.reshape(1, size, size, order="F")
-        return composed(problem, place, whole, path.integral, transitions, end, self.flow.units)
+        place = replace(w, unfolding=refined.unfolding)
+        return composed(problem, place, whole, integral, transitions, end, self.flow.units)
 
     @cached_property
     def _mesh(self) -> Callable[[int, int], np.ndarray]:
@@ -283,12 +289,12 @@ class Refiner(Shown):
         p, model = self.equations, self.problem.model
         w = self._start(guess, pins, 1 if guess.states is None else len(guess.states) - 1)
         units = np.asarray(measured_in(model, w.nodes, w.period) or np.ones(p.size))
-        w = stepped(p.march, w, units)
+        w = stepped(p, w, units)
         if len(w.nodes) == 1:
             first = w
             for _ in range(ROUNDS):  # passages move, and with them where steps are short
                 solved = self._newton(w, p.varied(w), pins, ROUGH).near(w)
-                w = stepped(p.march, solved.w, units)
+                w = stepped(p, solved.w, units)
                 if solved.converged:
                     break
             else:
@@ -326,7 +332,7 @@ class Refiner(Shown):
             return w, np.inf
 
         def ends(w: Unknowns) -> np.ndarray:
-            return wide(w.nodes[0], units, span * w.period, w.tail[1:])[None]
+            return wide(units, w.nodes[0], (0.0, span * w.period), w.tail[1:]).astype(float)[None]
 
         with suppress(IntegrationError):
             return newton.sharpened(w, ends)
