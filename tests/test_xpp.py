@@ -5,6 +5,7 @@ Rates of public files are compared with XPPAUT's own by benchmarks/xppaut_rates.
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,25 @@ def test_a_forced_xppaut_file_takes_its_period_from_the_call(tmp_path):
     assert float(of.from_xpp(file, time=math.pi / 2).rates(0, [2.0], [2.0])) == pytest.approx(-3.0)
     with pytest.raises(InputError, match="has no period; leave period out"):
         of.from_xpp(file, time=0.0, period=1.0)
+
+
+def test_commands_take_a_time_or_a_period_after_the_name(tmp_path):
+    """x' = a - x + cos t at t = 0 rests at a + 1."""
+    (tmp_path / "a.ode").write_text("par a=1\nx'=a-x+cos(t)\ninit x=2\n")
+    done = followed(f"{tmp_path}/a.ode#time=0", "a", 2, tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    rest = of.load_equilibria(tmp_path / "out" / "a" / "equilibria.json")
+    assert [point.state[0] for point in rest.points] == pytest.approx([point.value + 1 for point in rest.points])
+    shown = command("show", f"{tmp_path}/a.ode#period=2*3.141592653589793")
+    assert shown.exit_code == 0 and re.search(r"forced +True", shown.output)
+    for words, why in (
+        ("time=nan", "'time=nan' after the name; give #time=NUMBER"),
+        ("tome=1", "'tome=1' after the name"),
+        ("period=", "'period=' after the name"),
+        ("period=exit()", "system.period: 'exit"),
+    ):
+        refused = command("show", f"{tmp_path}/a.ode#{words}")
+        assert refused.exit_code == 2 and why in refused.output
 
 
 READ = {

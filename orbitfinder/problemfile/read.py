@@ -7,10 +7,11 @@ and builds the Model, the Guess and the Problem.
 from __future__ import annotations
 
 import csv
+import math
 import runpy
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -138,18 +139,29 @@ def load_problem(path: str | Path, trust: bool = False) -> Problem:
 
 
 def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
-    """A problem file with everything in it (see `ProblemFile`); FILE#NAME a row of its catalogue, else the first.
-    Raises `InputError`."""
+    """A problem file with everything in it (see `ProblemFile`); FILE#NAME a row of its catalogue, else the first;
+    FILE.ode#time=T0 and FILE.ode#period=T what `of.from_xpp` takes. Raises `InputError`."""
     source, row = parted(path)
-    if row and source.suffix != TOML:
+    if row and source.suffix == ".ode":
+        document, row = xpp_document(source, **_xpp_options(row, path)), ""
+    elif row and source.suffix != TOML:
         raise InputError(f"{path}: only a {TOML} file has a catalogue with rows; give {source} alone")
-    if source.suffix == ".py":
+    elif source.suffix == ".py":
         return _load_python(source, trust)
-    others = {".ode": xpp_document, ".xml": sbml_document, ".sbml": sbml_document}
-    document = others.get(source.suffix, read_toml)(source)
+    else:
+        others = {".ode": xpp_document, ".xml": sbml_document, ".sbml": sbml_document}
+        document = others.get(source.suffix, read_toml)(source)
     table = parse(document, str(source))
     with _located(source):
         return _build(source, document, table, trust, row)
+
+
+def _xpp_options(words: str, path: str | Path) -> dict[str, Any]:
+    name, _, value = words.partition("=")
+    with suppress(ValueError):
+        if name == "period" and value or name == "time" and math.isfinite(float(value)):
+            return {name: float(value) if name == "time" else value}
+    raise InputError(f"{path}: {words!r} after the name; give #time=NUMBER or #period=NUMBER (or an expression without /)")
 
 
 def rows_of(file: Path) -> list[Path]:

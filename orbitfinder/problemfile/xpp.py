@@ -95,7 +95,8 @@ def from_xpp(path: str | Path, period: str | float | None = None, time: float | 
     Read are parameters (`par`, `number`), `init`, `x'=`, `dx/dt=`, functions, hidden and derived quantities, arrays
     `[1..10]`, `sum(0,9)of(...)`, tables, if()then()else(), and `global`, whose resets make a hybrid system of it.
     `aux`, `set`, `bndry`, `only`, options and what enters no rate are left out, in words in `system["left_out"]`.
-    Names keep the case of their definition. Commands take the file itself in place of a problem file.
+    Names keep the case of their definition. Commands take the file itself in place of a problem file,
+    and FILE.ode#time=T0 or FILE.ode#period=T.
 
     Args:
         path: FILE.ode.
@@ -160,7 +161,7 @@ def xpp_document(path: Path, period: str | float | None = None, time: float | No
         build_model(system)
     except InputError as error:
         named = [seen["", word.lower()] for word in re.findall(r"\w+", error.field)[2:3] if ("", word.lower()) in seen]
-        at_a_time = " or, to take it at a time, time = 0" if "depends on the time" in str(error) else ""
+        at_a_time = " or, to take it at a time, time = 0 (in commands FILE.ode#time=0)" if "depends on the time" in str(error) else ""
         raise InputError(f"{named[0].where if named else path}: {error}{at_a_time}") from error
     starts, rates = {entry.word: entry for entry in tables["start"]}, {entry.word for entry in tables["rates"]}
     for word in starts.keys() - rates:
