@@ -76,8 +76,8 @@ def test_what_only_long_double_closes_is_found_and_refused():
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:invariants")
 def test_what_is_recorded_is_known_in_long_double():
-    """Li and Liao's II.Cic166 from five digits: double precision leaves it before it is over, so that nodes, samples and
-    action were off by hundreds; its multipliers are known to five digits."""
+    """Li and Liao's II.Cic166 from five digits: double precision leaves it before it is over, so that nodes, samples
+    and action were off by hundreds; its multipliers are known to five digits."""
     orbit = of.find_orbit(printed("II.Cic166", 0.36386, 0.37702, 191.67264))
     assert orbit.period == pytest.approx(191.67264, rel=1e-4)
     assert set(orbit.certificate.failures) <= {"trivial_multipliers", "floquet_multipliers"}

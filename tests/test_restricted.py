@@ -118,6 +118,25 @@ def test_landmarks_are_at_rest(ratio):
     assert restricted_three_body(ratio).landmarks["primary"] == (-ratio, 0.0)
 
 
+def test_jacobis_constant_is_pinned_followed_and_a_column(tmp_path):
+    """C = x^2 + y^2 + 2 (1 - m) / r1 + 2 m / r2 - v^2, written out."""
+
+    def constant(x):
+        near, far = np.hypot(x[0] + EARTH_MOON, x[1]), np.hypot(x[0] - 1 + EARTH_MOON, x[1])
+        return x[:2] @ x[:2] + 2 * (1 - EARTH_MOON) / near + 2 * EARTH_MOON / far - x[2:] @ x[2:]
+
+    model = restricted_three_body(EARTH_MOON)
+    orbit = find_orbit(Problem(model, Guess([0.8234, 0.0, 0.0, 0.1263], 2.743), pin=pin(jacobi=3.17)))
+    assert orbit.certificate.passed and constant(orbit.state) == pytest.approx(3.17, abs=1e-13)
+    followed = [follow_family(orbit, name, model=model, points=1) for name in ("jacobi", "energy")]
+    for family in followed:
+        table = family.table()
+        assert [float(each) for each in table["jacobi"]] == pytest.approx([constant(p.state) for p in family.points])
+    assert [float(each) for each in followed[0].table()["jacobi"]] == [point.value for point in followed[0].points]
+    with pytest.raises(InputError, match="unknown quantity 'jacobi'"):
+        Problem(henon_heiles(), Guess([0.0, 0.1, 0.1, 0.0], 6.0), pin=pin(jacobi=3.0)).count()
+
+
 def test_modes_of_a_libration_point():
     """Frequencies of L1 in closed form: w^2 = (2 - c + sqrt(9 c^2 - 8 c)) / 2 in the plane, c beside it."""
     model = restricted_three_body(EARTH_MOON, spatial=True)

@@ -10,7 +10,7 @@ import numpy as np
 from orbitfinder.families.diagram import BifurcationDiagram
 from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.families.members import extents
-from orbitfinder.mechanics.kind import build_model
+from orbitfinder.mechanics.kind import build_model, restricted
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import End, Family
 from orbitfinder.records.table import Tables, entries, extent_columns, known_levels, placed, stacked, verdict_columns
@@ -27,7 +27,8 @@ def family_tables(family: Family, model: Model | None = None) -> Tables:
         parameters = {name: [family.value(member, name) for member in members] for name in names}
         moves = extent_columns(called, seen[rows, 0], seen[rows, 1])
         watch = {name: [member.watch.get(name, np.nan) for member in members] for name in watched}
-        return placed(parameters, {**known_levels(members), **moves, **more, **watch})
+        constant = {"jacobi": [-2 * member.energy for member in members]} if restricted(family.system) else {}
+        return placed(parameters, {**known_levels(members), **constant, **moves, **more, **watch})
 
     points, events = family.points, family.events
     happened = entries(events, "kind", "detail", "criticality", "error", "period_error", "order", "certified")

@@ -18,7 +18,7 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.loop import Condition, Equations, Unknowns, levels
 from orbitfinder.loops.symmetry import Symmetry
-from orbitfinder.mechanics.kind import system_kind
+from orbitfinder.mechanics.kind import restricted, system_kind
 from orbitfinder.mechanics.model import Model, constraint_of
 
 
@@ -449,6 +449,12 @@ QUANTITIES = Registry(Quantity, {
         lambda variables, _: variables.period,
         _unknown,
         _period_refused,
+        followed=True,
+        held=True,
+    ),
+    "Jacobi's constant": Quantity(
+        lambda model: ("jacobi",) * restricted(model.system),
+        lambda variables, _: -2 * _level(variables, "energy"),
         followed=True,
         held=True,
     ),

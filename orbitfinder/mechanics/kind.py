@@ -297,6 +297,11 @@ def _function(system: Table) -> str:
     return NAMES.get(name, name.replace("_", " "))
 
 
+def restricted(system: Table) -> bool:
+    """Whether a system is a restricted three-body problem, whose Jacobi constant is C = -2 H."""
+    return str(system.get("function")).startswith("restricted_three_body")
+
+
 KINDS = Registry(SystemKind, {"python": SystemKind(python_model, _function, described=False)})
 """Every kind by its name; others may join (`kinds` has them all)"""
 CLOSING: dict[str, Loops] = {}

@@ -373,8 +373,9 @@ def restricted_three_body(ratio: float = 0.012277471, spatial: bool = False) -> 
 
     T = ((x' - y)^2 + (y' + x)^2 + z'^2) / 2, V = -(1 - ratio) / r1 - ratio / r2, heavy bodies at (-ratio, 0, 0)
     and (1 - ratio, 0, 0): the kinetic energy has terms linear in the rates, and what is conserved is the Jacobi
-    integral, -C / 2. Without `spatial` z is left out. Orbits may have the symmetries "mirror": x(-t) = x(t),
-    y(-t) = -y(t), z(-t) = z(t); in space also "axis", with z(-t) = -z(t), and "plane": z(t + T/2) = -z(t).
+    integral, -C / 2; C is `jacobi` in pins, families and tables. Without `spatial` z is left out. Orbits may have the
+    symmetries "mirror": x(-t) = x(t), y(-t) = -y(t), z(-t) = z(t); in space also "axis", with z(-t) = -z(t), and
+    "plane": z(t + T/2) = -z(t).
     Landmarks are the heavy bodies and the libration points. Source: V. Szebehely, Theory of Orbits (1967), sections
     1.5 and 4; units there.
     """

@@ -159,9 +159,9 @@ def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
 def _xpp_options(words: str, path: str | Path) -> dict[str, Any]:
     name, _, value = words.partition("=")
     with suppress(ValueError):
-        if name == "period" and value or name == "time" and math.isfinite(float(value)):
+        if (name == "period" and value) or (name == "time" and math.isfinite(float(value))):
             return {name: float(value) if name == "time" else value}
-    raise InputError(f"{path}: {words!r} after the name; give #time=NUMBER or #period=NUMBER (or an expression without /)")
+    raise InputError(f"{path}: {words!r} after the name; give #time=NUMBER or #period=NUMBER")
 
 
 def rows_of(file: Path) -> list[Path]:

@@ -161,8 +161,10 @@ def xpp_document(path: Path, period: str | float | None = None, time: float | No
         build_model(system)
     except InputError as error:
         named = [seen["", word.lower()] for word in re.findall(r"\w+", error.field)[2:3] if ("", word.lower()) in seen]
-        at_a_time = " or, to take it at a time, time = 0 (in commands FILE.ode#time=0)" if "depends on the time" in str(error) else ""
-        raise InputError(f"{named[0].where if named else path}: {error}{at_a_time}") from error
+        timed = " or, to take it at a time, time = 0 (in commands FILE.ode#time=0)" * (
+            "depends on the time" in str(error)
+        )
+        raise InputError(f"{named[0].where if named else path}: {error}{timed}") from error
     starts, rates = {entry.word: entry for entry in tables["start"]}, {entry.word for entry in tables["rates"]}
     for word in starts.keys() - rates:
         raise starts[word].fault(f"nothing gives the rate of {word}; add {word}'=...")
