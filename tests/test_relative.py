@@ -429,3 +429,20 @@ def test_a_shift_that_is_expected(tmp_path):
 def test_a_relative_orbit_is_not_proved(orbit):
     with pytest.raises(InputError, match=r"shift: phi is found with the orbit"):
         approach(of.systems.spherical_pendulum(), orbit, NONE, None)
+
+
+@pytest.mark.slow
+def test_a_rigid_body_by_its_angles_written_as_text():
+    """Euler's top whose angular momentum is vertical: phi goes on by d in a period, and a momentum that is not quite
+    vertical has turned by d about the vertical, so that the multipliers are e^(+-i d)."""
+    spin = "phidot*sin(theta)*sin(psi)+thetadot*cos(psi)", "phidot*sin(theta)*cos(psi)-thetadot*sin(psi)"
+    model = of.equations(
+        coordinates=["phi", "theta", "psi"], parameters={"A": 1.0, "B": 2.0, "C": 3.0}, angles=["phi", "theta", "psi"],
+        kinetic=f"(A*({spin[0]})**2 + B*({spin[1]})**2 + C*(phidot*cos(theta)+psidot)**2)/2", potential="0",
+    )  # fmt: skip
+    guess = of.Guess([0.0, 0.4, 0.0, 1.5, 0.0, -0.4605], 6.3)
+    orbit = of.find_orbit(of.Problem(model, guess, relative=("phi",), winding=(0, 0, -1)))
+    assert orbit.certificate.passed, orbit.certificate.failures
+    turned = orbit.shift["phi"]
+    expected = np.exp([1j * turned, -1j * turned])
+    assert np.sort_complex(orbit.floquet_multipliers) == pytest.approx(np.sort_complex(expected), abs=1e-8)
