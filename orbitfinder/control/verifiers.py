@@ -64,11 +64,11 @@ def _checks(trial: Trial) -> Iterator[Check | None]:
         yield at_most(f"earlier: {name}", early, 0.0, "crossings of its guard before")
     yield from holding(seen.held, allowed)
     yield at_most("cost", abs(orbit.control.get("cost", np.nan) - fit.cost) / fit.size, trial.room, RECORDED)
+    varies = "" if model.forced else f", and H varies by {fit.drift:.2g}"
     yield at_most(
         "stationarity", fit.left, allowed.stationarity,
         f"the costate, gradients and multipliers' signs; worst: {fit.worst}; of controls of any form: |H_u| up to "
-        f"{fit.pointwise:.2g} in instants, relative, and H varies by {fit.drift:.2g}; local: that nothing else costs "
-        "less is not shown",
+        f"{fit.pointwise:.2g} in instants, relative{varies}; local: that nothing else costs less is not shown",
     )  # fmt: skip
     if orbit.control["normals"]:
         room = allowed.stationarity if orbit.control["shape"] == "fourier" else allowed.between
