@@ -1,5 +1,7 @@
 """Motions whose equal steps are too long somewhere: past close encounters, along bursts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -83,6 +85,26 @@ def test_what_is_recorded_is_known_in_long_double():
     assert set(orbit.certificate.failures) <= {"trivial_multipliers", "floquet_multipliers"}
     energies = [three_body_energy(x) for x in orbit.samples]
     assert energies == pytest.approx([orbit.energy] * len(energies), abs=1e-9)
+
+
+FREE_FALL = {
+    "F1": (0.0207067154, 0.3133550361, 2.1740969264), "F2": (0.2053886532, 0.1952668419, 1.6896364928),
+    "F3": (0.0562664280, 0.4691503375, 4.5419125588), "F4": (0.1846729355, 0.5753740774, 5.1586391029),
+}  # fmt: skip
+"""Where the third of three equal bodies begins at rest, and the period: X. Li, S. Liao, New Astronomy 70 (2019) 22"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FREE_FALL)
+def test_free_falls_are_certified_in_long_double(name):
+    """From rest to rest and back; gradients where a motion ends were taken where double precision ends, 1e-5 beside."""
+    x, y, period = FREE_FALL[name]
+    model, state = of.bodies([1, 1, 1], [[-0.5, 0], [0.5, 0], [x, y]], np.zeros((3, 2)))
+    orbit = of.find_orbit(of.Problem(model, of.Guess(state, period)))
+    assert orbit.certificate.passed, orbit.certificate.failures
+    assert orbit.period == pytest.approx(period, abs=1e-9) and orbit.certificate.closure < 1e-8
+    beside = replace(orbit, period=orbit.period * (1 + 1e-7))
+    assert {"distance", "integration"} & set(of.certify(beside, model).failures)
 
 
 @pytest.mark.slow

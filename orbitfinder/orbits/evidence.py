@@ -569,8 +569,11 @@ def _sharpened(model: Model, motion: Motion, units: np.ndarray) -> Motion:
     rows = [nodes[0]]
     for span in pairwise(motion.times):
         rows.append(plain.end(units, rows[-1], span, equations.field.free, 1.0))
-    path, missed = np.array(rows, float), (nodes[-1] - nodes[0]).astype(float)
-    return replace(motion, transitions=pieces, missed=missed, path=path, states=equations.states(path), action=action)
+    path, missed, end = np.array(rows, float), (nodes[-1] - nodes[0]).astype(float), nodes[-1].astype(float)
+    return replace(
+        motion, transitions=pieces, missed=missed, path=path, states=equations.states(path), action=action,
+        ended=equations.frame(equations.states(end[None])[0], end)[0],
+    )  # fmt: skip
 
 
 def _conserved(field: VectorField, path: np.ndarray, units: np.ndarray, period: float) -> np.ndarray:

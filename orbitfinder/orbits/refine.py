@@ -315,9 +315,9 @@ class Refiner(Shown):
             newton = self._newton(w, p.varied(w), pins, FINE)
             solved = newton.near(w)
             w, residual = solved.w, largest(solved.rows)
-            if residual < self.settings.converged:
-                w = self._sharpened(w, newton, units)[0]
-                return self._checked(w, residual, newton, pins, units)
+            sharp, left = self._sharpened(w, newton, units)
+            if residual < self.settings.converged or left < FAINT:
+                return self._checked(sharp, min(residual, left), newton, pins, units)
         path = p.varied(w, states=True)
         constant = displacement(self.problem, w, path.ends[-1])
         whole = p.symmetry.whole(w.mesh, path.states, constant)[1]
