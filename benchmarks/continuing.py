@@ -2,7 +2,7 @@
 
     python benchmarks/continuing.py [FILE ...]     writes results/validation/continuing.md of all
 
-One point each way, with its events: in the energy, else in the first physical parameter that one can be followed in.
+Two points each way, with their events: in the energy, else in the first physical parameter that one can be followed in.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def started(file: Path) -> tuple[str, str]:
     for name in ["energy", *build_model(orbit.system).parameter_names]:
         try:
             with of.limited(LIMIT):
-                family = of.follow_family(orbit, name, points=1)
+                family = of.follow_family(orbit, name, points=2)
         except InputError as error:  # the energy of what has none, a number that cannot be changed
             said = f"{name}: {error}"
             continue
