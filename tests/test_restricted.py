@@ -18,7 +18,7 @@ from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import NONE, Symmetry, called, named
-from orbitfinder.mechanics.kind import build_model
+from orbitfinder.mechanics.kind import build_model, restricted
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.floquet import analyse
@@ -118,7 +118,7 @@ def test_landmarks_are_at_rest(ratio):
     assert restricted_three_body(ratio).landmarks["primary"] == (-ratio, 0.0)
 
 
-def test_jacobis_constant_is_pinned_followed_and_a_column(tmp_path):
+def test_jacobis_constant_is_pinned_followed_and_a_column():
     """C = x^2 + y^2 + 2 (1 - m) / r1 + 2 m / r2 - v^2, written out."""
 
     def constant(x):
@@ -135,6 +135,7 @@ def test_jacobis_constant_is_pinned_followed_and_a_column(tmp_path):
     assert [float(each) for each in followed[0].table()["jacobi"]] == [point.value for point in followed[0].points]
     with pytest.raises(InputError, match="unknown quantity 'jacobi'"):
         Problem(henon_heiles(), Guess([0.0, 0.1, 0.1, 0.0], 6.0), pin=pin(jacobi=3.0)).count()
+    assert restricted(model.system) and not restricted({**model.system, "module": "somebody.elses"})
 
 
 def test_modes_of_a_libration_point():

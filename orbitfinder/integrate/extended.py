@@ -7,8 +7,9 @@ double is a double (on Windows, on ARM Macs).
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 
 import casadi as ca
@@ -58,6 +59,13 @@ class Extended:
                 break
         raise IntegrationError("the step size becomes too small in long double", time=float(at[0]), state=start)
 
+    def along(self, units: np.ndarray, start: np.ndarray, times: np.ndarray, free: np.ndarray | None) -> np.ndarray:
+        """The states (k x n, in doubles) of such a motion at times (k) from its start on."""
+        rows = [start]
+        for span in pairwise(times):
+            rows.append(self.end(units, rows[-1], span, free, 1.0))
+        return np.array(rows, float)
+
 
 def extended(field: CasadiField) -> Extended | None:
     """A field in long double, where that holds more digits than a double and can be compiled."""
@@ -67,14 +75,12 @@ def extended(field: CasadiField) -> Extended | None:
     return attempted(function.name(), lambda: library(_code(function), lambda path, new: Extended(path), None))
 
 
-def in_long_double(field: ca.Function) -> Callable[..., np.ndarray] | None:
-    """(units, y, span, tail, first) -> where a field of (t, y, s, free) leads from y over a span with these s and
-    parameters, as `Extended.end` has it, if long double can be had."""
+def in_long_double(field: ca.Function) -> Extended | None:
+    """A field of (t, y, s, free) in long double, if that can be had; s and the parameters are its `free`."""
     t, y, *given = field.mx_in()
     ends = np.cumsum([0, *(each.numel() for each in given)]).tolist()
     tail = ca.MX.sym("tail", ends[-1])
-    wide = extended(CasadiField(ca.Function("closing", [t, y, tail], [field(t, y, *ca.vertsplit(tail, ends))])))
-    return wide.end if wide else None
+    return extended(CasadiField(ca.Function("closing", [t, y, tail], [field(t, y, *ca.vertsplit(tail, ends))])))
 
 
 def _code(function: ca.Function) -> str:

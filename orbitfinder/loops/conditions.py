@@ -455,6 +455,7 @@ QUANTITIES = Registry(Quantity, {
     "Jacobi's constant": Quantity(
         lambda model: ("jacobi",) * restricted(model.system),
         lambda variables, _: -2 * _level(variables, "energy"),
+        refused=_energy_refused,
         followed=True,
         held=True,
     ),

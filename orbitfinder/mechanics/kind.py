@@ -299,7 +299,8 @@ def _function(system: Table) -> str:
 
 def restricted(system: Table) -> bool:
     """Whether a system is a restricted three-body problem, whose Jacobi constant is C = -2 H."""
-    return str(system.get("function")).startswith("restricted_three_body")
+    here = system.get("module") == "orbitfinder.systems"
+    return here and str(system.get("function")).startswith("restricted_three_body")
 
 
 KINDS = Registry(SystemKind, {"python": SystemKind(python_model, _function, described=False)})

@@ -566,10 +566,8 @@ def _sharpened(model: Model, motion: Motion, units: np.ndarray) -> Motion:
     if wide is None or plain is None:
         return motion
     pieces, nodes, action = _pieces(equations, motion.path[:1], units, period, wide)
-    rows = [nodes[0]]
-    for span in pairwise(motion.times):
-        rows.append(plain.end(units, rows[-1], span, equations.field.free, 1.0))
-    path, missed, end = np.array(rows, float), (nodes[-1] - nodes[0]).astype(float), nodes[-1].astype(float)
+    path = plain.along(units, nodes[0], motion.times, equations.field.free)
+    missed, end = (nodes[-1] - nodes[0]).astype(float), nodes[-1].astype(float)
     return replace(
         motion, transitions=pieces, missed=missed, path=path, states=equations.states(path), action=action,
         ended=equations.frame(equations.states(end[None])[0], end)[0],

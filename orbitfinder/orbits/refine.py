@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -247,11 +246,9 @@ class Refiner(Shown):
             measures = [*units, *(units[:, None] / units).ravel("F"), *np.ones(more), integral or 1.0]
             begin = np.concatenate([w.nodes[0], np.eye(size).ravel(), np.zeros(more + 1)])
             with suppress(IntegrationError):
-                whole_end = wide(np.abs(measures), begin, (0.0, w.period), w.tail[1:])
-                rows = [w.nodes[0]]
-                for span in pairwise(moments * w.period):
-                    rows.append(alone(units, rows[-1], span, w.tail[1:], 1.0))
-                samples, end, integral = np.array(rows, float), whole_end[:size].astype(float), float(whole_end[-1])
+                whole_end = wide.end(np.abs(measures), begin, (0.0, w.period), w.tail[1:])
+                samples = alone.along(units, w.nodes[0], moments * w.period, w.tail[1:])
+                end, integral = whole_end[:size].astype(float), float(whole_end[-1])
                 transitions = whole_end[size : size + size**2].astype(float).reshape(1, size, size, order="F")
         equal = Unknowns(samples[: -1 : (moments.size - 1) // NODES], w.period, unfolding, w.free, moments)
         whole = sampled_period(problem, equal, samples)
@@ -332,7 +329,7 @@ class Refiner(Shown):
             return w, np.inf
 
         def ends(w: Unknowns) -> np.ndarray:
-            return wide(units, w.nodes[0], (0.0, span * w.period), w.tail[1:]).astype(float)[None]
+            return wide.end(units, w.nodes[0], (0.0, span * w.period), w.tail[1:]).astype(float)[None]
 
         with suppress(IntegrationError):
             return newton.sharpened(w, ends)
