@@ -1,5 +1,7 @@
 """Integration in long double: what it is right to, and what it shows of an orbit and of a false one."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -8,6 +10,9 @@ from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.extended import ROUND_OFF, Extended, extended
 from orbitfinder.integrate.field import vector_field
+from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.symmetry import NONE, SYMMETRIES
+from orbitfinder.loops.wide import wide
 from orbitfinder.orbits.evidence import Evidence, gather
 from orbitfinder.systems import three_bodies
 
@@ -37,26 +42,57 @@ def deep():
 
 
 @pytest.mark.usefixtures("deep")
-def test_exact_solutions():
+@pytest.mark.parametrize("quadruple", [False, True])
+def test_exact_solutions(quadruple):
     """An oscillator, a quadrature of the time and y' = 1 / (y + 2) over a span that does not begin at 0."""
     begin, end = np.longdouble(0.25), np.longdouble(3.0)
     start = np.array([np.cos(begin), -np.sin(begin), np.sin(begin), 0.0])
-    found = extended(vector_field(FORCED)).end(np.array([1.0, 1.0, 1e-3, 10.0]), start, (0.25, 3.0), None)
+    found = extended(vector_field(FORCED), quadruple).end(np.array([1.0, 1.0, 1e-3, 10.0]), start, (0.25, 3.0), None)
     exact = [np.cos(end), -np.sin(end), np.sin(end), np.sqrt(4 + 2 * (end - begin)) - 2]
     assert found.dtype == np.longdouble
-    assert np.abs(found - exact).max() < 200 * ROUND_OFF
+    assert np.abs(found - exact).max() < (4 if quadruple else 200) * ROUND_OFF  # those of long double are as rough
 
 
 @pytest.mark.usefixtures("deep")
+@pytest.mark.parametrize("quadruple", [False, True])
 @pytest.mark.parametrize("eccentricity", [0.0, 0.5, 0.99])
-def test_a_motion_comes_back(eccentricity):
+def test_a_motion_comes_back(eccentricity, quadruple):
     """Round a Kepler ellipse (a = 1, attraction 2) and back, past a centre at 1 - e: errors grow by 1 / (1 - e)^2."""
     start = np.array([1 + eccentricity, 0.0, 0.0, np.sqrt(2 * (1 - eccentricity) / (1 + eccentricity))])
-    wide, back = extended(vector_field(KEPLER, np.array([2.0]))), np.array([1, 1, -1, -1])
+    wide, back = extended(vector_field(KEPLER, np.array([2.0])), quadruple), np.array([1, 1, -1, -1])
     there = wide.end(np.ones(4), start, (0.0, 4.0), np.array([2.0]))
     again = back * wide.end(np.ones(4), back * there, (0.0, 4.0), np.array([2.0]))
     assert np.abs(there - start).max() > 0.1
     assert np.abs(again - start).max() < 1e3 * ROUND_OFF / (1 - eccentricity) ** 2
+
+
+@pytest.mark.usefixtures("deep")
+def test_many_states_on_the_way_cost_no_digits():
+    """Round-off of long double at each would grow: past a centre at 0.01 and on to where errors are 1e5 times as large."""
+    start, free = np.array([1.99, 0.0, 0.0, np.sqrt(0.02 / 1.99)]), np.array([2.0])
+    wide = extended(vector_field(KEPLER, free), True)
+    path = wide.along(np.ones(4), start, np.linspace(0.0, 18.0, 500), free)
+    assert np.abs(path[-1] - wide.end(np.ones(4), start, (0.0, 18.0), free)).max() < 20 * ROUND_OFF
+    plain = extended(vector_field(KEPLER, free)).along(np.ones(4), start, np.linspace(0.0, 18.0, 500), free)
+    assert np.abs(path[-1] - plain[-1]).max() > 1e5 * ROUND_OFF
+
+
+@pytest.mark.usefixtures("deep")
+@pytest.mark.parametrize("quadruple", [False, True])
+def test_derivatives_are_those_of_the_march(quadruple):
+    """By the state, the period, the unfolding and a freed parameter, and the action."""
+    equations = Equations(three_bodies(), SYMMETRIES["brake"], ("mass1",))
+    w = equations.unknowns(np.array([[2.0, 0, 0.3, 1.5, 0, 0, 0, 0]]), 2.0, np.linspace(0.0, 0.5, 401), np.array([1.1]))
+    units = np.array([2.0, 1.0, 1.0, 2.0, 0.5, 0.5, 1.0, 1.0])
+    sharp, path = wide(equations, units, quadruple).varied(w), equations.varied(w)
+    for name in ("ends", "transitions", "columns"):
+        exact = getattr(path, name)
+        assert exact.shape == getattr(sharp, name).shape
+        assert np.abs(exact - getattr(sharp, name)).max() < 1e-11 * np.abs(exact).max(), name
+    whole = Equations(three_bodies(), NONE, ("mass1",), action=True)
+    w = replace(w, unfolding=np.zeros(whole.march.unfolding))
+    alone = replace(w, unfolding=np.zeros(0))
+    assert wide(whole, units, quadruple, 1.0).varied(alone).integral == pytest.approx(whole.varied(w).integral, rel=1e-11)
 
 
 @pytest.mark.usefixtures("deep")
@@ -101,7 +137,7 @@ def test_what_long_double_cannot_integrate_is_judged_in_double(monkeypatch):
     def refuse(*_):
         raise IntegrationError("no", time=0.0, state=BUTTERFLY)
 
-    monkeypatch.setattr(Extended, "end", refuse)
+    monkeypatch.setattr(Extended, "_end", refuse)
     double = butterfly()
     assert double.motion.missed is None and known.motion.missed is not None
     assert double.closes.distance > 1e-9 > known.closes.distance

@@ -1,12 +1,12 @@
 /* Gragg's midpoint rule, extrapolated (Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section
-   II.9), of y' = f(t, y u) / u for a field f(t, x, free) in CasADi's own C, which stands above as FIELD in long double:
-   u are units. Its coefficients are ratios of whole numbers, so that they are exact in any precision, and Bulirsch's
-   sequence makes no more than ten times as much of a round-off. */
+   II.9), of y' = f(t, y u) / u for a field f(t, x, free) in CasADi's own C, which stands above as FIELD in casadi_real:
+   u are units. Its coefficients are ratios of whole numbers, so that they are exact in any precision; Bulirsch's sequence
+   makes no more than ten times as much of a round-off, and even numbers, of which more orders come as cheaply, so much
+   that quadruple precision alone can spare it. */
 #include <stddef.h>
 #include <stdlib.h>
 
-#define ROWS 10
-static const int PARTS[ROWS] = {2, 4, 6, 8, 12, 16, 24, 32, 48, 64};
+static const int PARTS[ROWS] = {SEQUENCE};
 #define EACH for (ptrdiff_t i = 0; i < n; i++)
 #define RATE(TIME, MOVED, TO) { \
   EACH x[i] = (y[i] + MOVED) * units[i]; \
@@ -14,20 +14,21 @@ static const int PARTS[ROWS] = {2, 4, 6, 8, 12, 16, 24, 32, 48, 64};
   const int failed = FIELD(arg, res, iw, w, 0); \
   EACH (TO)[i] = failed ? NAN : (TO)[i] / units[i]; }
 
-/* Take y (n) from at[0], by steps of which the next is at[1] long, towards at[2], each with an error of no more than
-   `allowed`; at most `left` are tried. Returns whether there was no memory for it. */
-int extrapolated(ptrdiff_t n, casadi_real *y, casadi_real *at, const double *units, const double *freed,
+/* Take a state, the sum of two (n each), from at[0], by steps of which the next is at[1] long, towards at[2], each with
+   an error of no more than `allowed`; at most `left` are tried. Returns whether there was no memory for it. */
+int extrapolated(ptrdiff_t n, long double *state, long double *at, const double *units, const double *freed,
                  double allowed, ptrdiff_t left) {
   casadi_int args, results, whole, reals;
   FIELD_work(&args, &results, &whole, &reals);
   const casadi_real **arg = malloc((args + results + 3) * sizeof(casadi_real *) + whole * sizeof(casadi_int) + 64);
-  casadi_real *w = malloc((reals + (ROWS + 5) * n + FREED + 1) * sizeof(casadi_real));
+  casadi_real *w = malloc((reals + (ROWS + 6) * n + FREED + 1) * sizeof(casadi_real));
   if (!arg || !w) { free(arg), free(w); return 1; }
   casadi_real **res = (casadi_real **)(arg + args + 3), *table = w + reals, *before = table + ROWS * n;
-  casadi_real *here = before + n, *rate = here + n, *first = rate + n, *x = first + n, *values = x + n;
+  casadi_real *here = before + n, *rate = here + n, *first = rate + n, *x = first + n, *y = x + n, *values = y + n;
   casadi_int *iw = (casadi_int *)(res + results);
   casadi_real t = at[0], h = at[1], now;
   for (int k = 0; k < FREED; k++) values[k] = freed[k];
+  EACH y[i] = (state[i] + (casadi_real)state[n + i]) / units[i];
   RATE(t, 0, first)
   while (t < at[2] && left-- > 0) {
     const int last = t + 1.01L * h >= at[2];
@@ -59,6 +60,7 @@ int extrapolated(ptrdiff_t n, casadi_real *y, casadi_real *at, const double *uni
     h *= factor > 4 ? 4 : factor > 0.1L ? factor : 0.1L;
   }
   at[0] = t, at[1] = h;
+  EACH state[i] = y[i] * units[i], state[n + i] = y[i] * units[i] - state[i];
   free(arg), free(w);
   return 0;
 }

@@ -1,7 +1,8 @@
-"""Integration in long double, where round-off of double precision has grown too much: `extended.c` about CasADi's C.
+"""Integration in long double and in quadruple precision, where round-off of double precision has grown too much:
+`extended.c` about CasADi's C.
 
 It shares neither method nor precision with CVODES and DOP853. There is none without a C compiler, nor where a long
-double is a double (on Windows, on ARM Macs).
+double is a double (on Windows, on ARM Macs); quadruple precision needs the C library's functions of _Float128, too.
 """
 
 from __future__ import annotations
@@ -23,14 +24,15 @@ from orbitfinder.integrate.field import CasadiField
 from orbitfinder.integrate.held import Shared
 
 ROUND_OFF = float(np.finfo(np.longdouble).eps)
-ALLOWED, FIRST, AT_A_TIME, MOST = 64 * ROUND_OFF, 1 / 64, 64, 100
-"""Error of a step, in units; the first step, of the span; steps between two looks at the limit of time, so often"""
+ALLOWED, QUADRUPLE, FIRST, AT_A_TIME, MOST = 64 * ROUND_OFF, 1e-25, 1 / 64, 64, 100
+"""Errors of a step, in units; the first step, of the span; steps between two looks at the limit of time, so often"""
 
 
 class Extended:
-    """A CasADi field (t, y) or (t, y, free) compiled in long double."""
+    """A CasADi field (t, y) or (t, y, free) compiled in long double, or in quadruple precision."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, allowed: float) -> None:
+        self._allowed = allowed
         self._extrapolated = Shared(path)["extrapolated"]
         self._extrapolated.argtypes = [
             ctypes.c_ssize_t, *[ctypes.c_void_p] * 4, ctypes.c_double, ctypes.c_ssize_t
@@ -45,48 +47,55 @@ class Extended:
 
         Raises `IntegrationError` where its steps become too short.
         """
+        return np.asarray(self._end(units, start, span, free, first)[0])
+
+    def _end(
+        self, units: np.ndarray, start: np.ndarray, span: Sequence[float] | np.ndarray, free: np.ndarray | None,
+        first: float,
+    ) -> np.ndarray:  # fmt: skip
+        """`end` of a start (n, or 2 x n of a sum), as a sum (2 x n) that keeps all digits."""
         units, free = np.ascontiguousarray(units, float), np.zeros(1) if free is None else free
-        y = np.asarray(start, np.longdouble) / units
+        y = np.zeros((2, units.size), np.longdouble)
+        y[: np.ndim(start)] = start
         at = np.array([span[0], first * (span[1] - span[0]), span[1]], np.longdouble)
         for _ in range(MOST):
             limit.check()
             places = (each.ctypes.data for each in (y, at, units, free))
-            if self._extrapolated(y.size, *places, ALLOWED, AT_A_TIME):
-                raise MemoryError(f"no memory for steps of {y.size} numbers")
+            if self._extrapolated(units.size, *places, self._allowed, AT_A_TIME):
+                raise MemoryError(f"no memory for steps of {units.size} numbers")
             if at[0] == at[2]:
-                return np.asarray(y * units)
+                return y
             if at[0] + at[1] == at[0]:
                 break
         raise IntegrationError("the step size becomes too small in long double", time=float(at[0]), state=start)
 
-    def along(self, units: np.ndarray, start: np.ndarray, times: np.ndarray, free: np.ndarray | None) -> np.ndarray:
-        """The states (k x n, in doubles) of such a motion at times (k) from its start on."""
-        rows = [start]
+    def along(
+        self, units: np.ndarray, start: np.ndarray, times: np.ndarray, free: np.ndarray | None, first: float = 1.0
+    ) -> np.ndarray:  # fmt: skip
+        """The states (k x n) of such a motion at times (k) from its start on."""
+        rows = [np.array([start, 0 * start], np.longdouble)]
         for span in pairwise(times):
-            rows.append(self.end(units, rows[-1], span, free, 1.0))
-        return np.array(rows, float)
+            rows.append(self._end(units, rows[-1], span, free, first))
+        return np.array(rows)[:, 0]
 
 
-def extended(field: CasadiField) -> Extended | None:
-    """A field in long double, where that holds more digits than a double and can be compiled."""
+def extended(field: CasadiField, quadruple: bool = False) -> Extended | None:
+    """A field in long double or quadruple precision, where that holds more digits than a double and can be compiled."""
     if mode() == "off" or 64 * ROUND_OFF > EPSILON:
         return None
-    function = field.dense
-    return attempted(function.name(), lambda: library(_code(function), lambda path, new: Extended(path), None))
+    function, allowed = field.dense, QUADRUPLE if quadruple else ALLOWED
+    return attempted(
+        function.name(), lambda: library(_code(function, quadruple), lambda path, new: Extended(path, allowed), None)
+    )
 
 
-def in_long_double(field: ca.Function) -> Extended | None:
-    """A field of (t, y, s, free) in long double, if that can be had; s and the parameters are its `free`."""
-    t, y, *given = field.mx_in()
-    ends = np.cumsum([0, *(each.numel() for each in given)]).tolist()
-    tail = ca.MX.sym("tail", ends[-1])
-    return extended(CasadiField(ca.Function("closing", [t, y, tail], [field(t, y, *ca.vertsplit(tail, ends))])))
-
-
-def _code(function: ca.Function) -> str:
+def _code(function: ca.Function, quadruple: bool) -> str:
     name, freed = function.name(), function.numel_in(2) if function.n_in() > 2 else 0
+    parts = range(2, 26, 2) if quadruple else (2, 4, 6, 8, 12, 16, 24, 32, 48, 64)
     own = (files("orbitfinder.integrate") / "extended.c").read_text(encoding="utf-8")
     return "\n".join([
-        "#include <tgmath.h>", "#define casadi_real long double", casadi_code(function),
-        f"#define FIELD {name}", f"#define FIELD_work {name}_work", f"#define FREED {freed}", own,
+        "#define __STDC_WANT_IEC_60559_TYPES_EXT__", "#include <tgmath.h>",
+        f"#define casadi_real {'_Float128' if quadruple else 'long double'}", casadi_code(function),
+        f"#define FIELD {name}", f"#define FIELD_work {name}_work", f"#define FREED {freed}",
+        f"#define ROWS {len(parts)}", f"#define SEQUENCE {', '.join(map(str, parts))}", own,
     ])  # fmt: skip

@@ -143,10 +143,10 @@ def refining(steps: int, agreed: Callable[[T, T], bool]) -> Generator[int, T | I
 
 @lru_cache(maxsize=16)
 def slopes_of(field: ca.Function, quadrature: ca.Function | None = None) -> ca.Function:
-    """f, df/dx, [df/ds | df/dfree] and `quadrature`, where there is one, as a function of (t, x, s, free)."""
+    """f, df/dx, [df/ds | df/dfree] and `quadrature`, if any, as a function of (t, x, s, free), or more."""
     symbol: Any = symbol_of(field)
-    inputs = [symbol(name, field.size1_in(k)) for k, name in enumerate(("t", "x", "s", "free"))]
-    x, s, free = inputs[1:]
+    inputs = [symbol(field.name_in(k), field.size1_in(k)) for k in range(field.n_in())]
+    x, s, free = inputs[1:4]
     rate = field(*inputs)
     added = type(x)(0, 1) if quadrature is None else quadrature(*inputs)
     outputs = [rate, ca.jacobian(rate, x), ca.jacobian(rate, ca.vertcat(s, free)), added]
@@ -166,13 +166,13 @@ def variational_field(field: ca.Function, quadrature: ca.Function | None = None,
     slopes = slopes_of(field, quadrature)
     if not field.is_a("SXFunction") or size > WIDE or products:
         return _with_columns(slopes, size, extra)
-    t, x, s, free = inputs = slopes.sx_in()
+    t, x, *given = inputs = slopes.sx_in()
     rate, matrix, forcing, added = slopes.call(inputs)
     columns = ca.SX.sym("columns", size, size + extra)
     rates = ca.cse([rate, matrix @ columns + ca.horzcat(ca.SX(size, size), forcing), added])
     whole = ca.vertcat(x, ca.vec(columns), ca.SX.sym("S", added.numel()))
     rates[1] = ca.vec(rates[1])
-    return ca.Function("variations", [t, whole, s, free], [ca.vertcat(*rates)], NOT_INLINED)
+    return ca.Function("variations", [t, whole, *given], [ca.vertcat(*rates)], NOT_INLINED)
 
 
 NOT_INLINED = {"never_inline": True}
@@ -184,15 +184,15 @@ SHORT = 500
 
 
 def _with_columns(slopes: ca.Function, size: int, extra: int) -> ca.Function:
-    t, s, free = ca.MX.sym("t"), ca.MX.sym("s", slopes.size1_in(2)), ca.MX.sym("free", slopes.size1_in(3))
+    t, *given = (ca.MX.sym(slopes.name_in(k), slopes.size1_in(k)) for k in range(slopes.n_in()) if k != 1)
     end = size * (1 + size + extra)
     whole = ca.MX.sym("whole", end + slopes.size1_out(3))
     columns = ca.reshape(whole[size:end], size, size + extra)
-    rate, matrix, forcing, added = slopes(t, whole[:size], s, free)
+    rate, matrix, forcing, added = slopes(t, whole[:size], *given)
     if size <= WIDE:
         matrix = ca.densify(matrix)
     moving = ca.densify(matrix @ columns + ca.horzcat(ca.MX(size, size), forcing))
-    return ca.Function("variations", [t, whole, s, free], [ca.vertcat(rate, ca.vec(moving), added)], NOT_INLINED)
+    return ca.Function("variations", [t, whole, *given], [ca.vertcat(rate, ca.vec(moving), added)], NOT_INLINED)
 
 
 def directional_field(field: ca.Function, quadrature: ca.Function | None = None) -> ca.Function:

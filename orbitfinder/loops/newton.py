@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
+from typing import Protocol
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from orbitfinder.integrate.march import Varied, divided
 from orbitfinder.loops.condensed import eliminated
 from orbitfinder.loops.loop import Loop, Unknowns, beyond
 from orbitfinder.loops.scales import Measures
-from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, full, largest, natural
+from orbitfinder.mechanics.newton import Settings, Solved, Solver, chord, full, natural
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,16 @@ class Refined(Shown):
     mesh: np.ndarray | None = None
 
 
+class Integrating(Protocol):
+    """Whoever integrates all segments of a loop."""
+
+    def varied(self, w: Unknowns) -> Varied:
+        """With derivatives."""
+
+    def ends(self, w: Unknowns) -> np.ndarray:
+        """Without (N x d)."""
+
+
 class Newton:
     """One run of the iteration on a loop, as measured; counts its marches of states and of states and derivatives.
 
@@ -91,38 +101,24 @@ class Newton:
         w, solver = self._approach(w, path)
         return self._finish(w, solver)
 
-    def near(self, w: Unknowns) -> Solved[Unknowns]:
-        """Where damped steps lead that are judged by their corrections. Raises `IntegrationError`."""
-        self._lost = self.loop.lost(w)
+    def near(self, w: Unknowns, by: Integrating | None = None) -> Solved[Unknowns]:
+        """Where damped steps lead that are judged by their corrections, by whoever integrates (default: the equations
+        themselves), and ends better than derivatives. Raises `IntegrationError`."""
+        self._lost, march = self.loop.lost(w), by or self.loop.equations
 
         def linearised(w: Unknowns) -> tuple[np.ndarray, Solver]:
             self.jacobians += 1
-            path = self.loop.equations.varied(w)
-            return self._measured(w, path.ends), self._solver(w, path)
+            path = march.varied(w)
+            return self._measured(w, march.ends(w) if by else path.ends), self._solver(w, path)
 
         def rows_of(w: Unknowns) -> np.ndarray:
+            self.marches += 1
             try:
-                return self._rows(w)
+                return self._measured(w, march.ends(w))
             except IntegrationError:
                 return np.full(self.measures.rows.size, np.inf)
 
         return natural(w, linearised, rows_of, self.settings, Unknowns.moved, self.measures.columns)
-
-    def sharpened(self, w: Unknowns, ends: Callable[[Unknowns], np.ndarray]) -> tuple[Unknowns, float]:
-        """Where chord steps lead from w by `ends` that are known better than its march's, or w where they lead no
-        nearer, and the largest row."""
-
-        def rows_of(w: Unknowns) -> np.ndarray:
-            return self._measured(w, ends(w))
-
-        def renewed(w: Unknowns) -> Solver:
-            return self._solver(w, self.loop.equations.varied(w))
-
-        self._lost = self.loop.lost(w)
-        rows = rows_of(w)
-        solved = chord(w, rows, renewed(w), (rows_of, renewed), self.settings, Unknowns.moved)
-        before = largest(rows)
-        return (solved.w, solved.size) if solved.size < before else (w, before)
 
     def _approach(self, w: Unknowns, path: Varied | None) -> tuple[Unknowns, Solver]:
         """Halved steps on the coarse march until the residual is small."""

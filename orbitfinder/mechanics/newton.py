@@ -232,8 +232,10 @@ def natural(
         while True:
             limit.check()
             count, trial = count + 1, moved(w, share * step)
-            after = solver(rows_of(trial))
+            after = solver(rest := rows_of(trial))
             left = float(np.linalg.norm(after / units))
+            if left <= settings.converged or (share == 1.0 and settings.ended(left, length)):
+                return Solved(trial, settings, rest, left, solver, count)
             bent = float(np.linalg.norm((after - (1 - share) * step) / units))
             best = 0.5 * share**2 * length / bent if bent else 1.0
             if left <= (1 - share / 4) * length:

@@ -370,7 +370,7 @@ def _smooth_checks(trial: Trial) -> Iterator[Check | None]:
     rough = PAIRED * VARIED.relative_tolerance * still * seen.varied / nonzero(seen.norm)
     kept = max(allowed.trivial, passing, taken, min(rough, allowed.multipliers))
     near, moving = Nearby(model, seen), "" if orbit.shift else reduction(model, orbit)
-    by = "DOP853" if seen.motion.missed is None else "extrapolation in long double"
+    by = "DOP853" if seen.motion.missed is None else "extrapolation in long double or better"
     said = "orbit, in extents of the motion"
     if seen.motion.missed is None and seen.closes.distance > allowed.distance and not available()[0]:
         said += "; long double, which may tell more, needs a C compiler"

@@ -92,13 +92,18 @@ def closes(
     return Closure(widest, whole[1], off, worst, across, *late)
 
 
+def _carrying(transitions: Sequence[np.ndarray], size: int) -> list[np.ndarray]:
+    """What carries an error from the end, and from where each piece begins, to the end."""
+    return [each.astype(float) for each in accumulate(reversed(transitions), np.matmul, initial=np.eye(size))]
+
+
 def _late(
     gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, grown: float, rows: np.ndarray,
     basis: np.ndarray,
 ) -> tuple[float, float]:  # fmt: skip
     """By what share of it the period of the true orbit may be another, infinite where none is isolated, and is, beyond
     what round-off of the state hides; `rows` (k x m) are f T and the gradients of what is kept."""
-    later = list(accumulate(reversed(transitions), np.matmul, initial=np.eye(sizes.size)))
+    later = _carrying(transitions, sizes.size)
     rate, rows = basis.T @ rows[0], rows @ basis
     rows = grown * rows / nonzero(np.linalg.norm(rows, axis=1, keepdims=True))  # so that their shares cost little
     bordered = np.vstack([
@@ -128,11 +133,12 @@ def _closed(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.nda
 def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.ndarray, float]:
     """Phi(T, 0) and A, the largest norm with which an error made where a piece begins comes to the end."""
     pieces = np.reshape(transitions, (-1, sizes.size, sizes.size))
-    later = np.empty((len(pieces) + 1, sizes.size, sizes.size))
+    later = np.empty((len(pieces) + 1, sizes.size, sizes.size), pieces.dtype)
     later[-1], largest = np.eye(sizes.size), float(sizes.max())
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(len(pieces) - 1, -1, -1):
             np.matmul(later[k + 1], pieces[k], out=later[k])
+        later = later.astype(float)
         carry = later[:-1] * sizes
         if not np.isfinite(carry).all():
             return later[0], np.inf
@@ -158,7 +164,7 @@ def distance(
     integration that is more `precise` than the start adds nothing to what that is known to.
     """
     (first, last), size = rows, np.abs(states).max(axis=0)
-    later = list(accumulate(reversed(transitions), np.matmul, initial=np.eye(size.size)))
+    later = _carrying(transitions, size.size)
     grown = carried(transitions, np.ones(size.size))[1]
     columns = np.column_stack([first + last @ later[-1], *([] if late is None else [last @ late])])
     if not (np.isfinite(grown) and np.isfinite(columns).all() and np.isfinite(gap).all()):

@@ -110,7 +110,7 @@ class Motion:
     ended: np.ndarray | None = None
     """the gradients where `transitions` end; none where that is not told"""
     missed: np.ndarray | None = None
-    """y at the end less y at the start, where both are known in long double, as `transitions` are then"""
+    """y at the end less y at the start, where both are known in long double or better, as `transitions` are then"""
 
     def reaching(self, path: np.ndarray) -> np.ndarray:
         """A path (k x m), as far as the motion goes."""
@@ -300,7 +300,7 @@ def varied_end(
         end = settings.end(measures, begin, span, getattr(field, "free", None))
     else:
         end = integrate_in(measures, field, begin, span, settings)[-1]
-    return end[:size], end[size:-1].reshape(size, size, order="F").astype(float), float(end[-1])
+    return end[:size], end[size:-1].reshape(size, size, order="F"), float(end[-1])
 
 
 def evenly(period: float) -> np.ndarray:
@@ -344,13 +344,13 @@ class Tour:
 
     def map(self) -> np.ndarray:
         """The root map without trivial multipliers (r x r)."""
-        return _multiplied(self.factors())
+        return multiplied(self.factors())
 
     def multipliers(self, noise: np.random.Generator | None = None, share: float = 0.0) -> np.ndarray:
         """Its eigenvalues (r), each piece with an error that is a `share` of its norm: factor by factor where the
         product has lost them."""
         factors = self.factors(noise, share)
-        values = np.linalg.eigvals(_multiplied(factors))
+        values = np.linalg.eigvals(multiplied(factors))
         if len(factors) > 1 and lost(np.abs(values), np.array(factors)):
             values = product(factors).values
         return values.astype(complex)
@@ -360,13 +360,13 @@ class Tour:
         pieces, bases = self.pieces, self.bases or (self._start,)
         if noise is not None:
             pieces = [each + share * np.linalg.norm(each, 2) * noise.normal(size=each.shape) for each in pieces]
-        pieces = pieces if self.bases else [_multiplied(pieces)]
+        pieces = pieces if self.bases else [multiplied(pieces)]
         ways = pairwise([*bases[: len(pieces)], bases[0]])
-        return [after.T @ piece @ before for piece, (before, after) in zip(pieces, ways, strict=True)]
+        return [(after.T @ piece @ before).astype(float) for piece, (before, after) in zip(pieces, ways, strict=True)]
 
     def inner(self) -> np.ndarray:
         """The root map with trivial multipliers, on what constraints leave."""
-        return np.asarray(self.basis.T @ _multiplied(self.pieces) @ self.basis)
+        return np.asarray(self.basis.T @ multiplied(self.pieces) @ self.basis)
 
     @property
     def _start(self) -> np.ndarray:
@@ -496,11 +496,14 @@ def gather(
     moved = np.ptp(motion.reaching(path), axis=0)
     units = in_momenta(moved, motion.masses, period, None, acting_in(model, path))
     loop = _looped(model, motion, units, path, period)
-    if motion_of is canonical_motion and units.size <= MOST and loop.closes.distance < FALSE and _rounded(loop):
+    plain = motion_of is canonical_motion and units.size <= MOST
+    for quadruple in (False, True):
+        if not plain or loop.closes.distance >= FALSE or not _rounded(loop):
+            break
         with suppress(IntegrationError):
-            motion = _sharpened(model, motion, units)
-            if motion.missed is not None:
-                path, states = motion.path[at], motion.states[at]
+            sharp = _sharpened(model, motion, units, quadruple)
+            if sharp is not motion:
+                motion, path, states = sharp, sharp.path[at], sharp.states[at]
                 loop = _looped(model, motion, units, path, period)
     # the largest |Phi(t, s)| between the ends of any two pieces, and the largest |Phi(T, t)| |Phi(t, 0)|
     count, size = len(loop.pieces), len(loop.pieces[0])
@@ -557,17 +560,19 @@ def _rounded(loop: Tour) -> bool:
     return loop.closes.distance > DOUBTFUL or gap > CLOSED * min(grown, LARGEST_SCALE) or loop.trivial > KEPT
 
 
-def _sharpened(model: Model, motion: Motion, units: np.ndarray) -> Motion:
-    """A motion with its states, its end and its transitions in long double, if they can be had."""
+def _sharpened(model: Model, motion: Motion, units: np.ndarray, quadruple: bool) -> Motion:
+    """A motion with its states, end and transitions in long double or quadruple precision, if that can be had."""
     equations, period = Hamiltonian(model), float(motion.times[-1])
     wide, plain = (
-        None if equations.field.stiff else extended(each) for each in (equations.variational, equations.field)
+        None if equations.field.stiff else extended(each, quadruple)
+        for each in (equations.variational, equations.field)
     )
     if wide is None or plain is None:
         return motion
-    pieces, nodes, action = _pieces(equations, motion.path[:1], units, period, wide)
-    path = plain.along(units, nodes[0], motion.times, equations.field.free)
-    missed, end = (nodes[-1] - nodes[0]).astype(float), nodes[-1].astype(float)
+    exact = plain.along(units, motion.path[0], motion.times, equations.field.free)
+    at = np.searchsorted(motion.times, evenly(period)[:: SAMPLES // PIECES])
+    pieces, _, action = _pieces(equations, exact[at], units, period, wide)
+    missed, path, end = (exact[-1] - exact[0]).astype(float), exact.astype(float), exact[-1].astype(float)
     return replace(
         motion, transitions=pieces, missed=missed, path=path, states=equations.states(path), action=action,
         ended=equations.frame(equations.states(end[None])[0], end)[0],
@@ -645,7 +650,7 @@ def beside(states: np.ndarray, count: int = 24) -> np.ndarray:
     return np.asarray(rows + 0.3 * nonzero(np.ptp(states, axis=0)).clip(KNOWN) * random.normal(size=rows.shape))
 
 
-def in_extents(matrices: Sequence[np.ndarray], units: np.ndarray) -> list[np.ndarray]:
+def in_extents(matrices: Iterable[np.ndarray], units: np.ndarray) -> list[np.ndarray]:
     """State-transition matrices (m x m each) between states that are measured in `units` (m)."""
     return [matrix * units / units[:, None] for matrix in matrices]
 
@@ -662,8 +667,9 @@ def _variable(model: Model, states: np.ndarray, units: np.ndarray) -> float:
     return max(float(np.abs(gradients(state).full()[which]) @ units) for state in states[:: SAMPLES // 16])
 
 
-def _multiplied(pieces: Sequence[np.ndarray]) -> np.ndarray:
-    return reduce(lambda done, piece: piece @ done, pieces)
+def multiplied(pieces: Iterable[np.ndarray]) -> np.ndarray:
+    """Phi over all of some pieces (m x m each)."""
+    return reduce(lambda done, piece: piece @ done, pieces).astype(float)
 
 
 def _basis(gradients: np.ndarray, directions: np.ndarray, within: np.ndarray) -> np.ndarray:

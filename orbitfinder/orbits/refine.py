@@ -19,9 +19,8 @@ from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import UNSOLVED, ConvergenceError, CountError, InputError, IntegrationError, plural
 from orbitfinder.integrate.cvodes import Flow
-from orbitfinder.integrate.extended import in_long_double
 from orbitfinder.integrate.march import Varied, divided, rounded, uniform
-from orbitfinder.integrate.rk8 import march, step_of, variational_field
+from orbitfinder.integrate.rk8 import march, step_of
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import make_curve
 from orbitfinder.loops.loop import Equations, Unknowns
@@ -43,14 +42,15 @@ from orbitfinder.loops.problem import (
 from orbitfinder.loops.scales import Measures
 from orbitfinder.loops.shooting import flow_of
 from orbitfinder.loops.symmetry import NONE
+from orbitfinder.loops.wide import wide
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.newton import largest
+from orbitfinder.mechanics.newton import Solved, largest
 from orbitfinder.mechanics.scales import lengths
 from orbitfinder.mechanics.scales import units_of as measured_in
 from orbitfinder.orbits import closure
 from orbitfinder.orbits.certify import certified
-from orbitfinder.orbits.evidence import MOST, in_extents
+from orbitfinder.orbits.evidence import MOST, in_extents, multiplied
 from orbitfinder.orbits.hybrid import carried, first_unknowns, hybrid_orbit
 from orbitfinder.orbits.measure import (
     RESOLVED,
@@ -75,8 +75,8 @@ NEAR = 1e-8
 """Share of the motion by which an integration over the whole period may miss its end"""
 ROUGH, FINE, ROUNDS = NewtonSettings(converged=1e-7), NewtonSettings(converged=1e-13), 8
 """How a single segment is closed, on so many meshes at most, and on the last of twice as many steps"""
-FAINT = 1e-10
-"""Rows in long double of an orbit that double precision does not close"""
+FEWER, LOST = 2.0**-11, 1e-9
+"""Round-off of long double, of that of doubles; share of a state-transition matrix that may be round-off"""
 GROWN = 1e8
 """Growth of errors beyond which round-off of double precision is more than what a rough correction may be"""
 NODES = 8
@@ -238,18 +238,19 @@ class Refiner(Shown):
             states = through.states
         moments = uniform(1.0, NODES, rounded(SAMPLES / NODES))
         samples, integral = sampled(equations.march, w, states, moments), path.integral
-        transitions, size, more = path.transitions, equations.size, w.tail[1:].size * equations.size
-        plain, units = equations.march.arcs[0], nonzero(np.ptp(states, axis=0))
-        wide = in_long_double(variational_field(plain.field, plain.integrand)) if size <= MOST else None
-        alone = in_long_double(plain.field) if wide else None
-        if wide and alone:
-            measures = [*units, *(units[:, None] / units).ravel("F"), *np.ones(more), integral or 1.0]
-            begin = np.concatenate([w.nodes[0], np.eye(size).ravel(), np.zeros(more + 1)])
+        transitions, size = path.transitions, equations.size
+        units = nonzero(np.ptp(states, axis=0))
+        alone = replace(w, nodes=w.nodes[:1], unfolding=np.zeros(0))
+        for quadruple in (False, True):
+            by = wide(equations, units, quadruple, abs(integral) or 1.0) if size <= MOST else None
+            if by is None:
+                break
             with suppress(IntegrationError):
-                whole_end = wide.end(np.abs(measures), begin, (0.0, w.period), w.tail[1:])
-                samples = alone.along(units, w.nodes[0], moments * w.period, w.tail[1:])
-                end, integral = whole_end[:size].astype(float), float(whole_end[-1])
-                transitions = whole_end[size : size + size**2].astype(float).reshape(1, size, size, order="F")
+                before, sharp, samples = multiplied(transitions), by.varied(alone), by.along(alone, moments)
+                end, integral, transitions = sharp.ends[0], sharp.integral, sharp.transitions
+                lost, kept = (largest(in_extents(each, units)[0]) for each in (transitions - before, transitions))
+                if lost * FEWER < LOST * kept:
+                    break
         equal = Unknowns(samples[: -1 : (moments.size - 1) // NODES], w.period, unfolding, w.free, moments)
         whole = sampled_period(problem, equal, samples)
         assert self.flow is not None
@@ -295,10 +296,13 @@ class Refiner(Shown):
                 if solved.converged:
                     break
             else:
-                newton = self._newton(first, p.varied(first), pins, FINE)
-                sharp, residual = self._sharpened(first, newton, units)
-                if residual < FAINT:
-                    return self._checked(sharp.on(divided(sharp.mesh, 2)), residual, newton, pins, units)
+                w = first
+            w = w.on(divided(w.mesh, 2))
+            newton = self._newton(w, p.varied(w), pins, FINE)
+            closed = self._sharpened(w, newton, units)
+            if closed.converged or largest(closed.rows) < self.settings.converged:
+                return self._checked(closed.w, largest(closed.rows), newton, pins, units)
+            if not solved.converged:
                 steps = replace(w, nodes=p.march.states(w.nodes, w.mesh, w.tail)[:-1])
                 grown = closure.carried(
                     in_extents([*p.varied(steps).transitions[..., : units.size]], units), np.ones(units.size)
@@ -306,34 +310,30 @@ class Refiner(Shown):
                 lost = f"errors made on the way grow {grown:.1g} times, so double precision has too few digits"
                 raise ConvergenceError(
                     "damped Newton steps lead nowhere from this guess (a correction of "
-                    f"{solved.size:.2g} of the motion is left); " + (lost if grown > GROWN else "start nearer")
+                    f"{closed.size:.2g} of the motion is left); " + (lost if grown > GROWN else "start nearer")
                 )
-            w = w.on(divided(w.mesh, 2))
-            newton = self._newton(w, p.varied(w), pins, FINE)
-            solved = newton.near(w)
-            w, residual = solved.w, largest(solved.rows)
-            sharp, left = self._sharpened(w, newton, units)
-            if residual < self.settings.converged or left < FAINT:
-                return self._checked(sharp, min(residual, left), newton, pins, units)
+            w = closed.w
         path = p.varied(w, states=True)
         constant = displacement(self.problem, w, path.ends[-1])
         whole = p.symmetry.whole(w.mesh, path.states, constant)[1]
         return self._solved(fitted(make_curve(p, constant, w, (), lengths(model, whole), whole), w), pins)
 
-    def _sharpened(self, w: Unknowns, newton: Newton, units: np.ndarray) -> tuple[Unknowns, float]:
-        """w as long double has it and its largest row, infinite where that cannot be had: past close encounters
-        round-off of a march grows to much more."""
-        assert self.flow is not None
-        wide, span = in_long_double(self.flow.field), w.edges[-1]
-        if wide is None:
-            return w, np.inf
-
-        def ends(w: Unknowns) -> np.ndarray:
-            return wide.end(units, w.nodes[0], (0.0, span * w.period), w.tail[1:]).astype(float)[None]
-
-        with suppress(IntegrationError):
-            return newton.sharpened(w, ends)
-        return w, np.inf
+    def _sharpened(self, w: Unknowns, newton: Newton, units: np.ndarray) -> Solved[Unknowns]:
+        """Where Newton's steps lead in double precision and, where it can be had, in long double; and in quadruple
+        precision where round-off of long double is still seen: some 2000th of what that of doubles had moved."""
+        solved = newton.near(w)
+        for quadruple in (False, True):
+            by = wide(self.equations, units, quadruple) if w.nodes[0].size <= MOST else None
+            if by is None:
+                break
+            with suppress(IntegrationError):
+                better = newton.near(solved.w if solved.converged else w, by)
+                moved = largest((better.w.vector - solved.w.vector) / newton.measures.columns)
+                if better.converged or not solved.converged:
+                    solved = better
+                if better.converged and moved * FEWER < newton.settings.converged:
+                    break
+        return solved
 
     def _newton(self, w: Unknowns, path: Varied, pins: Sequence[Pin], settings: NewtonSettings) -> Newton:
         loop = loop_of(self.problem, self.equations, w, self.equations.links.passed(w, path.ends)[0][-1], pins)
