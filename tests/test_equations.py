@@ -541,6 +541,11 @@ def test_branches_of_auto(tmp_path):
         [2e-100, 7.5, -1, 0.2],
     ]
     assert branches(tmp_path / "b.x", ("y", "b")).tolist() == [[8.0, 9.0]]
+    (tmp_path / "b.x").write_text(HEADER + " 1 1 0 0 1.7976+308 1 4 0.1 -1E99\n 1 2 0 0 inf 1 4 0.1 9.9E98\n")
+    assert np.isnan(branches(tmp_path / "b.x", ("b", "max_x", "T"))).tolist() == [
+        [True, False, True],
+        [True, False, False],
+    ]
     for name, content, why in (
         ("b.x", text, "no branch has b, frequency; the last has b, y; AUTO names"),
         ("b.none", "", "no branch has b, frequency; the last has none"),

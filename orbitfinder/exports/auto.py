@@ -180,8 +180,7 @@ def constants(source: Source) -> str:
     names = {UNFOLDING: "unfolding", ENERGY: "energy", PERIOD: "period"}
     more = unfolding_places(source)[1:]
     names |= {place: f"unfolding{k}" for k, place in enumerate(more, start=2)}
-    own = enumerate(model.parameter_names, FIRST)
-    names |= {place: f"{name}_" if name in names.values() else name for place, name in own}
+    names |= enumerate((f"{name}_" if name in names.values() else name for name in model.parameter_names), FIRST)
     clock = ["clock_cos", "clock_sin"] if model.forced else []
     states = [*model.state_names, *clock]
     loop = (4, len(states), 1 + len(_symmetries(source))) if _symmetries(source) else (2, 0, 0)

@@ -133,14 +133,14 @@ def _guess(source: Path, numbers: np.ndarray, count: int, period: float, free: d
 def _names(text: str) -> dict[str, int]:
     """Places in PAR by name."""
     said = ",".join(re.findall(r"\bparnames\s*=\s*\{([^{}]*)\}", text))
-    named = re.findall(r"""(\d{1,6})\s*+:\s*+['"]?+([^'",\s][^'",]*)""", said)
-    return {"PERIOD": PERIOD} | {name.strip(): int(place) for place, name in named}
+    pair = r"""(\d{1,6})\s*+:\s*+['"]?+([^'",\s][^'",]*)"""
+    return {"PERIOD": PERIOD} | {name.strip(): int(place) for place, name in re.findall(pair, said)}
 
 
 def _values(source: Path, wanted: Mapping[str, int] | Sequence[str], par: np.ndarray) -> dict[str, float]:
     """Values of parameters by name: places in PAR are given, or b.NAME and c.NAME beside name them."""
     files = ("fort.7", "fort.2") if source.name == "fort.8" else (f"b{source.name[1:]}", f"c{source.name[1:]}")
-    lines = [line for file in map(source.with_name, files) if wanted and file.is_file() for line in _lines(file)]
+    lines = (line for file in map(source.with_name, files) if wanted and file.is_file() for line in _lines(file))
     text = re.sub(r"(?<!\S)[#!].*", "", "\n".join(lines))
     known = _names(text)
     said = re.findall(r"\bICP\s*=\s*\[([^][]*)\]|Active continuation parameters?:(.*)", text)
@@ -160,7 +160,8 @@ def _values(source: Path, wanted: Mapping[str, int] | Sequence[str], par: np.nda
 def branches(path: Path, names: Sequence[str]) -> np.ndarray:
     """Columns of b.NAME by our names (rows x names), of the branches that have them all.
 
-    `period` is PAR(11), min_C and max_C are MIN C and MAX C; PT is negative where stable. Raises `InputError`.
+    `period` is PAR(11), min_C and max_C are MIN C and MAX C; PT is negative where stable. Numbers of 1e99 and more are
+    nan. Raises `InputError`.
     """
     lines, heads, rows = _lines(path), list[str](), []
     known = _names("\n".join(lines))
@@ -176,4 +177,4 @@ def branches(path: Path, names: Sequence[str]) -> np.ndarray:
         raise InputError(f"{path}: no branch has {', '.join(names)}; the last has "
                          f"{shortened(', '.join(heads[4:]), 200) or 'none'}; "
                          "AUTO names them by parnames and unames of c.NAME")  # fmt: skip
-    return np.array(rows)
+    return np.where(np.abs(rows) < 1e99, rows, np.nan)

@@ -371,8 +371,10 @@ def save_chosen(
     dress(axes, *called)
     if beside is not None:
         *place, number = branches(beside, (*names, "PT")).T
-        style = {"label": f"{beside.name}: AUTO, filled where stable", "edgecolors": "0.5"}
-        axes.scatter(*place, 20, np.where(number < 0, "0.5", "none"), zorder=1, **style)
+        axes.scatter(
+            *place, 20, np.where(number < 0, "0.5", "none"), edgecolors="0.5", zorder=1,
+            label=f"{beside.name}: AUTO, filled where stable",
+        )  # fmt: skip
         axes.legend(frameon=False)
     if xlim is not None:
         axes.set_xlim(*xlim)
