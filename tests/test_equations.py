@@ -19,6 +19,7 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.expression import expression
 from orbitfinder.mechanics.kind import build_model, with_parameters
+from orbitfinder.problemfile.auto import branches
 from orbitfinder.problemfile.read import load_problem_file
 
 ROOT = Path(__file__).parents[1]
@@ -435,6 +436,124 @@ def test_what_auto_makes_of_an_exported_orbit_comes_back(tmp_path):
     guess = of.from_auto(tmp_path / "fort.8", parameters=["mu"])
     again = of.find_orbit(of.Problem(model_of("van-der-pol"), guess, free=["mu"], pin=of.pin(mu=guess.free["mu"])))
     assert guess.free["mu"] != 1.0 and again.period == pytest.approx(guess.period, rel=1e-6)
+    assert of.from_auto(tmp_path, parameters=["ICP"]).free == guess.free
+    rows = branches(tmp_path / "fort.7", ("mu", "period", "max_x", "PT"))
+    assert rows[-1, :2] == pytest.approx([guess.free["mu"], guess.period], rel=1e-9) and (rows[:, 3] < 0).all()
+    assert rows[-1, 2] == pytest.approx(guess.states[:, 0].max(), rel=1e-9)
+
+
+CONSTANTS = """# what is continued, in which 'ICP = [1]'
+! parnames = {1: 'wrong'}
+parnames = {1: 'a', 2: "b",
+            11: T}, unames = {1: 'x', 2: 'y'}
+NDIM = 2, IPS = 2   # ICP = ['a'] before
+NTST = 8, NCOL = 4 DS = -0.02, ICP = [%s], UZR = {'b': [2.1, 2.4]}
+"""
+
+
+@pytest.mark.parametrize(
+    "freed", ["'b', 11", '"b" "T"', "b T", "2, 11", "'T',\n  'b'", "2 'PERIOD'", "1, 'b', 11"]
+)  # fmt: skip
+def test_constants_of_auto_name_parameters(tmp_path, freed):
+    """Without b.NAME: parnames of c.NAME in each quotation, and what ICP frees besides the period."""
+    shutil.copy(DATA / "auto" / "s.brusselator", tmp_path)
+    (tmp_path / "c.brusselator").write_text(CONSTANTS % freed)
+    wanted = {"a": 1.0} if freed.startswith("1") else {}
+    both = {"a": 1.0, "b": pytest.approx(2.4, rel=1e-8)}
+    for path in (tmp_path, tmp_path / "c.brusselator", tmp_path / "s.brusselator", tmp_path / "b.brusselator"):
+        assert of.from_auto(path, parameters=["b", "a"]).free == both
+        assert of.from_auto(path, parameters=["ICP"]).free == wanted | {"b": both["b"]}
+        assert of.from_auto(path, parameters=("ICP",)).free == wanted | {"b": both["b"]}
+        assert of.from_auto(path).free == {}
+    assert of.from_auto(tmp_path, parameters={"ICP": 1}).free == {"ICP": 1.0}
+
+
+def test_constants_of_auto_come_before_its_branches(tmp_path):
+    """What was active is b.NAME's word where c.NAME is absent; numbers in a fixed order say nothing."""
+    for letter in "bs":
+        shutil.copy(DATA / "auto" / f"{letter}.brusselator", tmp_path)
+    assert list(of.from_auto(tmp_path, parameters=["ICP"]).free) == ["b"]
+    (tmp_path / "c.brusselator").write_text(
+        "ICP = [1, 11]\nparnames = {1: 'rate'}  # \N{LATIN SMALL LETTER E WITH ACUTE}"
+    )
+    assert of.from_auto(tmp_path, parameters=["ICP"]).free == {"rate": 1.0}
+    assert list(of.from_auto(tmp_path, parameters=["rate", "b"]).free) == ["rate", "b"]
+    (tmp_path / "c.brusselator").write_text("2 2 2 1   NDIM,IPS,IRS,ILP\n2 1 11   NICP,(ICP(I),I=1,NICP)\n")
+    assert list(of.from_auto(tmp_path, parameters=["ICP"]).free) == ["b"]
+    (tmp_path / "b.brusselator").unlink()
+    with pytest.raises(
+        InputError, match=r"parameters.ICP: no place .*of b.brusselator and c.brusselator name PERIOD; wri"
+    ):
+        of.from_auto(tmp_path, parameters=["ICP"])
+
+
+@pytest.mark.parametrize(
+    ("constants", "why"),
+    [
+        ("ICP = ['mu', 11]\nparnames = {1: 'nu'}", "parameters.mu: no place .*, did you mean 'nu'"),
+        ("ICP = [4, 11]", r"parameters.4: no place in PAR\(1\) to PAR\(36\)"),
+        ("ICP = [mu]\nparnames = {99: 'mu'}", "parameters.mu: no place"),
+        ("ICP = [mu]\nparnames = {0: 'mu'}", "parameters.mu: no place"),
+        ("ICP = [__import__('os').mkdir('here')]", r"parameters.__import__\(: no place"),
+        ("parnames = {1: 'mu'", "parameters.ICP: no place"),
+        ("ICP = [" + "9" * 5000 + "]", "parameters.9999"),
+        (b"\xff\xfe", "c.brusselator: no file of AUTO's, which are plain text"),
+    ],
+)
+def test_constants_that_name_nothing(tmp_path, monkeypatch, constants, why):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(DATA / "auto" / "s.brusselator", tmp_path)
+    (tmp_path / "c.brusselator").write_bytes(constants if isinstance(constants, bytes) else constants.encode())
+    with pytest.raises(InputError, match=why):
+        of.from_auto(tmp_path, parameters=["ICP"])
+    assert not (tmp_path / "here").exists()
+
+
+def test_hostile_constants_are_read_in_a_time_that_grows_with_their_size(tmp_path):
+    """Openings that never close, spaces and digits: a backtracking expression would need hours for these."""
+    shutil.copy(DATA / "auto" / "s.brusselator", tmp_path)
+    many = 200_000
+    for text in (
+        "parnames = {" * many, "ICP = [" * many, "parnames = {1:" + " " * many + "}", "#" * many, " #" * many,
+        "parnames = {" + "1" * many + ":}", "parnames" + " " * many, "parnames = {" + "1: ' " * many + "}",
+    ):  # fmt: skip
+        (tmp_path / "c.brusselator").write_text(text)
+        with pytest.raises(InputError, match="no place"):
+            of.from_auto(tmp_path, parameters=["ICP"])
+
+
+HEADER = "   0    PT  TY  LAB       b               L2-NORM             MAX x              MIN y                T\n"
+
+
+def test_branches_of_auto(tmp_path):
+    """Columns by our names, of the branches that have them; PT is negative where stable."""
+    rows = branches(DATA / "auto" / "b.brusselator", ("b", "period", "max_y", "PT"))
+    assert rows.shape == (29, 4) and rows[1].tolist() == [2.0002000129, 6.2832551748, 2.0232038872, -2.0]
+    assert rows[-1, :2] == pytest.approx([2.4, 6.4965804533], rel=1e-8)
+    text = "   0\n   0   parnames = {2: 'b', 11: 'T'}\n" + HEADER
+    text += "   1     3   0    0  2.5E+000 1 4.0 0.1 7.0\n   0\n"
+    text += "   0    PT  TY  LAB       b               y\n 1 1 0 0 9.0 8.0\n"
+    (tmp_path / "b.x").write_text(
+        text + HEADER + "   2    -1   9    1  2.0-100 1 4.5 0.2 7.5\n   2    -2   0    0  2.0\n"
+    )
+    assert branches(tmp_path / "b.x", ("b", "period", "PT", "min_y")).tolist() == [
+        [2.5, 7, 3, 0.1],
+        [2e-100, 7.5, -1, 0.2],
+    ]
+    assert branches(tmp_path / "b.x", ("y", "b")).tolist() == [[8.0, 9.0]]
+    (tmp_path / "b.x").write_text(HEADER + " 1 1 0 0 1.7976+308 1 4 0.1 -1E99\n 1 2 0 0 inf 1 4 0.1 9.9E98\n")
+    assert np.isnan(branches(tmp_path / "b.x", ("b", "max_x", "T"))).tolist() == [
+        [True, False, True],
+        [True, False, False],
+    ]
+    for name, content, why in (
+        ("b.x", text, "no branch has b, frequency; the last has b, y; AUTO names"),
+        ("b.none", "", "no branch has b, frequency; the last has none"),
+        ("b.words", HEADER + "some words", "could not convert string to float: 'some'"),
+    ):
+        (tmp_path / name).write_text(content)
+        with pytest.raises(InputError, match=why):
+            branches(tmp_path / name, ("b", "frequency"))
 
 
 def test_numbers_as_fortran_writes_them(tmp_path):
@@ -469,9 +588,9 @@ def test_files_that_are_none_of_autos(tmp_path):
     for call, why in (
         (lambda: of.from_auto(DATA / "auto", label=77), "label: 77 is not in .*it has 4, 5, 6"),
         (lambda: of.from_auto(DATA / "auto", parameters=["bb"]), "parameters.bb: no place in PAR.*, did you mean 'b'?"),
-        (lambda: of.from_auto(DATA / "auto", parameters={"b": 99}), r"parameters.b: .*PAR\(36\).*names a, b, T"),
+        (lambda: of.from_auto(DATA / "auto", parameters={"b": 99}), r"parameters.b: .*PAR\(36\).*PERIOD, a, b, T;"),
         (lambda: of.from_auto(tmp_path), "path: .* has s.aperiodic, .*give a single file"),
-        (lambda: of.from_auto(tmp_path / "s.binary"), "no file of AUTO's, which are plain numbers"),
+        (lambda: of.from_auto(tmp_path / "s.binary"), "no file of AUTO's, which are plain text"),
         (lambda: of.from_auto(tmp_path / "one.dat"), "no rows t, U"),
         (lambda: of.from_auto(tmp_path / "one.dat", label=1), "a .dat file has no labels and no parameters"),
         (lambda: of.from_auto(tmp_path / "s.none"), "no such file"),

@@ -227,6 +227,37 @@ def test_families_are_drawn_in_coordinates_of_ones_own(tmp_path) -> None:
         assert refused.exit_code == 2 and words in refused.output
 
 
+def test_branches_of_auto_are_drawn_beside_a_family(tmp_path, monkeypatch) -> None:
+    """Marks at AUTO's points, filled where it says stable, under the family, by default with the period upwards."""
+    file = RESULTS / "families" / "five-bar-length" / "family.json"
+    family, beside, drawn = load_family(file), tmp_path / "b.bar", []
+    name, values = family.parameter, family.values("value")
+    head = f"   0    PT  TY  LAB     {name}            MAX theta1              PERIOD\n"
+    rows = [(values[0], 0.5, family.points[0].period, 1), (values[-1], 0.25, 7.5, -2)]
+    beside.write_text(head + "".join(f"   1 {pt} 0 0 {p:.17g} {q} {t:.17g}\n" for p, q, t, pt in rows))
+    monkeypatch.setattr(plot, "save_png", lambda figure, path: drawn.append(figure) or path)
+    asked = ["plot", str(file), "--beside", str(beside), "-o", str(tmp_path)]
+    assert CliRunner().invoke(cli, asked, catch_exceptions=False).exit_code == 0
+    assert CliRunner().invoke(cli, [*asked, "--up", "max_theta1"], catch_exceptions=False).exit_code == 0
+    for figure, up, called in zip(drawn, (2, 1), ("period", "greatest theta1"), strict=True):
+        (axes,) = figure.axes
+        (marks,) = axes.collections
+        assert marks.get_offsets().tolist() == [[row[0], row[up]] for row in rows] and called in axes.get_ylabel()
+        assert marks.get_facecolors()[:, 3].tolist() == [0.0, 1.0] and marks.get_zorder() < axes.lines[0].get_zorder()
+        assert axes.get_legend().get_texts()[0].get_text() == "b.bar: AUTO, filled where stable"
+    for more, why in (
+        (
+            [*asked, "--up", "frequency"],
+            f"no branch has {name}, frequency, PT; the last has {name}, max_theta1, period; AUTO",
+        ),
+        ([*asked[:3], str(tmp_path / "b.none")], "b.none: no such file"),
+        ([*asked[:3], str(tmp_path)], "a folder, not a file"),
+        (["plot", f"{file}#0", *asked[2:]], "--xlim and --beside take families; leave them out"),
+    ):
+        refused = CliRunner().invoke(cli, more)
+        assert refused.exit_code == 2 and why in refused.output, refused.output
+
+
 def test_stretches_of_one_stability_meet_at_the_events_between_them() -> None:
     family = load_family(RESULTS / "families" / "five-bar-length" / "family.json")
     told, said = changes(family), verdicts(family)

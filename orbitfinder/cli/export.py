@@ -53,6 +53,7 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
         "or amplitude_C, min_C, max_C of a coordinate C.")  # fmt: skip
 @option("up", "What goes up, likewise.  [default: frequency]")
 @option("xlim", "The window across, LOW,HIGH.", kind=NUMBERS)
+@option("beside", "A b.NAME of AUTO-07p whose branches to draw beside families.", kind=FILES, metavar="b.NAME")
 @option("style", "A Matplotlib style sheet, or its name, over the figures' own.", metavar="FILE")
 @usual("Folder for the figures; default: beside each file.", trust=SYSTEM_TRUST, json=False)
 def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float | None, style: str | None,
@@ -69,6 +70,7 @@ def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float
       orbitfinder plot families/triple-mode-2/family.json
       orbitfinder plot families/*/family.json --together -o figures
       orbitfinder plot families/duffing/family.json --across frequency --up amplitude_x --xlim 1.2,1.9
+      orbitfinder plot families/duffing/family.json --up max_x --beside auto/b.duffing
     """
     from orbitfinder.show.plot import save_chosen, save_frequency_energy
     from orbitfinder.show.style import styled

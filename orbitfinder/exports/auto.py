@@ -139,7 +139,7 @@ end subroutine FUNC
 def _stpnt(source: Source) -> str:
     energy = level(source.orbit.energy)
     values = dict.fromkeys(unfolding_places(source), 0.0) | {ENERGY: energy, PERIOD: source.orbit.period}
-    values |= {FIRST + k: float(value) for k, value in enumerate(source.model.parameter_values)}
+    values |= enumerate(map(float, source.model.parameter_values), FIRST)
     lines = [f"PAR({place}) = {fortran_number(value)}" for place, value in values.items()]
     lines += [f"U({i + 1}) = {fortran_number(value)}" for i, value in enumerate(_with_clock(source)[1][0])]
     body = "\n".join(f"  {line}" for line in lines)
@@ -180,8 +180,7 @@ def constants(source: Source) -> str:
     names = {UNFOLDING: "unfolding", ENERGY: "energy", PERIOD: "period"}
     more = unfolding_places(source)[1:]
     names |= {place: f"unfolding{k}" for k, place in enumerate(more, start=2)}
-    taken = set(names.values())
-    names |= {FIRST + k: f"{name}_" if name in taken else name for k, name in enumerate(model.parameter_names)}
+    names |= enumerate((f"{name}_" if name in names.values() else name for name in model.parameter_names), FIRST)
     clock = ["clock_cos", "clock_sin"] if model.forced else []
     states = [*model.state_names, *clock]
     loop = (4, len(states), 1 + len(_symmetries(source))) if _symmetries(source) else (2, 0, 0)

@@ -26,6 +26,7 @@ from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import given_units, unit_names, units
 from orbitfinder.orbits.course import Course, course_of
+from orbitfinder.problemfile.auto import branches
 from orbitfinder.records.family import UNITS, Event, Family, number_of, value_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.diagram import Diagram, entitled, frequencies, mark_of
@@ -339,19 +340,20 @@ def save_frequency_energy(families: Sequence[Family | Orbit], path: Path, level:
 
 def save_chosen(
     families: Sequence[Family], path: Path, across: str | None = None, up: str | None = None,
-    xlim: Sequence[float] | None = None, model: Model | None = None,
+    xlim: Sequence[float] | None = None, beside: Path | None = None, model: Model | None = None,
 ) -> Path:  # fmt: skip
     """Write families in other coordinates: energy, period, frequency, arclength, a parameter, a watched number,
     amplitude_C, min_C or max_C of a coordinate C.
 
     `across` is by default the parameter, `up` the frequency, `xlim` the window; `model` is of what no file describes.
-    Raises `InputError`.
+    Points of the b.NAME `beside` of AUTO-07p are drawn under them, then `up` is by default the period. Raises
+    `InputError`.
     """
     if xlim is not None and (len(xlim) != 2 or not xlim[0] < xlim[1]):
         raise InputError(f"xlim: {list(xlim)}; give LOW,HIGH, the lower first")
     if other := next((record for record in families if not isinstance(record, Family)), None):
-        raise InputError(f"{other.name}: --across, --up and --xlim take families; leave them out")
-    names = across or families[0].parameter, up or "frequency"
+        raise InputError(f"{other.name}: --across, --up, --xlim and --beside take families; leave them out")
+    names = across or families[0].parameter, up or ("period" if beside else "frequency")
     model, words = model or build_model(families[0].system), [_called(name) for name in names]
     figure = new_figure(8.0, 5.6, f"{entitled(*families)}: {words[1]} over {words[0]}")
     own = dict(zip(model.state_names, unit_names(model), strict=False))
@@ -367,6 +369,13 @@ def save_chosen(
         figure, axes, [Diagram(family, (called[0], called[1]), at) for family, at in zip(families, places, strict=True)]
     )
     dress(axes, *called)
+    if beside is not None:
+        *place, number = branches(beside, (*names, "PT")).T
+        axes.scatter(
+            *place, 20, np.where(number < 0, "0.5", "none"), edgecolors="0.5", zorder=1,
+            label=f"{beside.name}: AUTO, filled where stable",
+        )  # fmt: skip
+        axes.legend(frameon=False)
     if xlim is not None:
         axes.set_xlim(*xlim)
         seen = np.vstack(places)
