@@ -230,7 +230,7 @@ def test_a_problem_file_names_what_its_system_declares(tmp_path):
         load_problem(path)
     path.write_text(MIRRORED.split("[system]")[0] + '[system]\nkind = "chain"\nlinks = 2\n' + "[guess]" +
                     MIRRORED.split("[guess]")[1])  # fmt: skip
-    with pytest.raises(InputError, match=r"find.symmetry: must be 'none', .* got 'mirror'"):
+    with pytest.raises(InputError, match=r"find.symmetry: unknown 'mirror'; use one of none, .*"):
         load_problem(path)
 
 
