@@ -149,7 +149,7 @@ def test_a_declared_generator_stands_for_those_that_say_the_same():
     assert names == ["energy", "diagonal", "momentum_x"]
     along = {"momentum_y": {"generator": {"x": "1"}}}
     names = [each.name for each in of.equations(**free, symmetries=along).invariants]
-    assert names == ["energy", "momentum_y", "momentum_y_"]
+    assert names == ["energy", "momentum_y", "momentum_y_2"]
 
 
 def test_a_momentum_is_that_of_noether():
@@ -161,6 +161,12 @@ def test_a_momentum_is_that_of_noether():
     )  # fmt: skip
     values = {each.name: float(each.value([0.4, 0.7], [0.3, 0.2], [2.0, 3.0])) for each in model.invariants}
     assert values.keys() == {"energy", "screw"} and values["screw"] == pytest.approx(0.3 + 3 * 0.2 * 2, abs=1e-15)
+
+
+@pytest.mark.parametrize("name", ["jac", "s_", "s__t", "_s"])
+def test_a_name_that_no_function_of_casadi_may_have(name):
+    model = of.equations(coordinates=["x"], kinetic="xdot^2", symmetries={name: {"generator": {"x": "1"}}})
+    assert model.invariants[1].name == name
 
 
 def test_driven_equations_have_a_mirror_half_of_the_drive_later():
@@ -192,7 +198,8 @@ PLANTED = {
     "mirror": ({"mirror": {"time": -1, "signs": {"y": -1, "px": -1}}}, r"under 'mirror' the equations change by \d"),
     "small": ({"flip": {"signs": {"x": -1, "px": -1}}}, r"under 'flip' the equations change by \d.*correct its signs"),
     "forwards": ({"mirror": {"signs": {"x": -1, "py": -1}}}, "under 'mirror' the equations change"),
-    "turn": (TURN, r"'turn' is not conserved, it changes at the rate \d.* of terms as large as \d.*its generator"),
+    "turn": (TURN, r"'turn' is not conserved, it changes at the rate \d.* of terms as large as \d.*; correct it"),
+    "values": (TURN, r"^symmetries: 'turn' is not conserved"),
     "energy": ({"same": {"generator": {"x": "0"}}}, "'same' is .*says nothing more; leave it out"),
 }
 
@@ -200,11 +207,12 @@ PLANTED = {
 @pytest.mark.parametrize("case", PLANTED)
 def test_planted_symmetries_of_a_hamiltonian_are_refused(case):
     declared, message = PLANTED[case]
-    tilt = "1e-6*x" if case == "small" else "0"
+    """A rotation of one value of k alone too."""
+    tilt = {"small": "1e-6*x", "values": "k*x^2/2 - x^2/2 - x^2*y + y^3/3"}.get(case, "0")
     with pytest.raises(InputError, match=message):
         of.equations(
             hamiltonian=f"(px^2 + py^2)/2 + (x^2 + y^2)/2 + x^2*y - y^3/3 + {tilt}", coordinates=["x", "y"],
-            momenta=["px", "py"], symmetries=declared,
+            momenta=["px", "py"], symmetries=declared, parameters={"k": 1.0},
         )  # fmt: skip
 
 

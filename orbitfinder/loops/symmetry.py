@@ -499,16 +499,14 @@ def involutions(model: Model) -> tuple[Involution, ...]:
 def symmetries_of(model: Model) -> Mapping[str, Symmetry]:
     """The symmetries that a Problem of this model may ask for, by name: the usual ones and those it declares."""
     alone, known = model.rates is not None, involutions(model)
-    if not (alone or model.symmetries):
-        return SYMMETRIES
     pairs = [(first, last) for first in known for last in known if first.sense < last.sense and first != REVERSAL_MAP]
     made = (Symmetry(maps, alone) for maps in ((), *((each,) for each in known), *pairs))
-    return ({} if alone else dict(SYMMETRIES)) | {each.name: each for each in made}
+    return {each.name: each for each in made}
 
 
 def named(name: str, model: Model) -> Symmetry:
     """The symmetry with a name, of a mirror that nobody declares too; `InputError` names the known ones."""
-    known = SYMMETRIES if name in SYMMETRIES and model.rates is None else symmetries_of(knowing(model, name))
+    known = symmetries_of(knowing(model, name))
     if name not in known:
         raise InputError(f"symmetry: unknown {name!r}; use one of {', '.join(known)}")
     return known[name]
@@ -671,7 +669,7 @@ def with_mirrors(model: Model) -> Model:
 
 def knowing(model: Model, name: str) -> Model:
     """The Model, with its mirrors declared where the name of a symmetry is one of theirs."""
-    return model if name in SYMMETRIES or name in symmetries_of(model) else with_mirrors(model)
+    return model if name in symmetries_of(model) else with_mirrors(model)
 
 
 # ---- recognition -------------------------------------------------------------------------------------------

@@ -322,9 +322,8 @@ def _declared(given: Table, key: str) -> dict[str, Any]:
 
 def _check_mirrors(made: Model) -> None:
     """`InputError` for declared signs under which the equations change; forwards, about half of the forcing too."""
-    t, p, n = ca.MX.sym("t"), ca.MX.sym("p", len(made.parameter_names)), made.degrees_of_freedom
-    at = [t, *(ca.MX.sym("x", n) for _ in made.state_names[::n]), p]
-    clock = made.forcing_period(p) / 2 if made.forcing_period else 0.0
+    at = (made.rates or made.acceleration).mx_in()
+    clock = made.forcing_period(at[-1]) / 2 if made.forcing_period else 0.0
     for name, sense, signs in made.symmetries:
         pairs = (images(made, sense, ca.diag(ca.DM(signs)), at, late) for late in (0.0, clock)[: 1 + (sense > 0)])
         if all(off := [discrepancy(at, pair, made.parameter_values) for pair in pairs]):

@@ -205,10 +205,11 @@ def hamiltonian(
     integrals = [] if forcing_period is not None else [symbols.invariant("energy", level)]
     for name, scalar in (invariants or {}).items():
         expression = _expression(name, scalar, symbols)
-        terms = (ca.gradient(expression, symbols.column) * rate).T
-        if off := discrepancy([symbols.t, symbols.column, symbols.numbers], terms, [*symbols.values.values()], 0.0):
-            raise InputError(f"invariants: {name!r} is not conserved, it changes at the rate {off}; leave it out, or "
-                             "correct it or its generator")  # fmt: skip
+        terms, turns = (ca.gradient(expression, symbols.column) * rate).T, name in (system or {}).get("symmetries", {})
+        at = [symbols.t, symbols.column, symbols.numbers]
+        if off := discrepancy(at, terms, [*symbols.values.values()], 0.1 * turns):
+            raise InputError(f"{'symmetries' if turns else 'invariants'}: {name!r} is not conserved, it changes at the "
+                             f"rate {off}; correct it, or leave it out")  # fmt: skip
         integrals.append(symbols.invariant(name, expression, symbols.turned(expression)))
     return with_units(_model(rate, symbols, integrals, angles, forcing_period, symmetries, system, level), units)
 

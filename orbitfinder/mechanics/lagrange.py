@@ -204,13 +204,13 @@ def detected_invariants(
     for name, along in (*own.items(), *directions.items()) if own else ():
         levels = [ca.dot(momentum, each) for each in (*kept.values(), along)]
         if not linear_invariants(arguments, ca.vertcat(*levels)):
-            kept[name + "_" * (name in kept)] = along
+            kept[name + "_2" * (name in kept)] = along
         elif along is own.get(name):
             raise InputError(f"symmetries: {name!r} moves nothing, or as others do; leave it out")
     for name, along in (kept or directions).items():
-        fit, along = ca.Function.fix_name(name), ca.densify(along)
+        along, fit = ca.densify(along), ca.Function.fix_name
         made = {"": ca.dot(momentum, along), "_unfolding": along, "_shift": ca.vertcat(along, ca.jtimes(along, q, v))}
-        functions = (ca.Function(f"{fit}{word}", [q, v, p], [value]) for word, value in made.items())
+        functions = (ca.Function(fit(f"{name}{word}"), [q, v, p], [value]) for word, value in made.items())
         invariants.append(Invariant(name, *functions))
     return invariants
 
