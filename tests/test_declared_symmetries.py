@@ -79,14 +79,16 @@ def test_a_reversing_mirror_of_a_file_is_imposed_certified_shown_and_read_back(t
 
 
 def test_an_orbit_has_a_declared_mirror_that_is_not_asked_for():
-    """The label is that of `recognise`; a mirror beside it, run forwards, is none of this orbit."""
+    """A mirror beside it, run forwards, is none of this orbit; with both a quarter would be integrated."""
     hamiltonian = "(px^2 + py^2)/2 + (x^2 + y^2)/2 + x^2*y - y^3/3"
     declared = {"mirror": {"time": -1, "signs": {"x": -1, "py": -1}}, "flip": {"signs": {"x": -1, "px": -1}}}
     model = of.equations(hamiltonian=hamiltonian, coordinates=["x", "y"], momenta=["px", "py"], symmetries=declared)
     assert model.symmetries == (("mirror", -1, (-1, 1, 1, -1)), ("flip", 1, (-1, 1, -1, 1)))
-    problem = of.Problem(model, of.Guess([0.0, 0.3, 0.1, 0.0], 6.2), pin=of.pin(energy=0.1), symmetry="mirror+flip")
-    whole = of.find_orbit(of.Problem(model, of.Guess([0.2, 0.2, 0.3, 0.3], 6.2), pin=of.pin(energy=0.1)))
-    assert problem.boundary.parts == 4 and whole.certificate.passed
+    guess, pin = of.Guess([0.0, 0.2, 0.4, 0.0], 6.3), of.pin(energy=0.1)
+    whole, half = (of.find_orbit(of.Problem(model, guess, pin=pin, symmetry=name)) for name in ("none", "mirror"))
+    assert whole.symmetry == half.symmetry == "mirror" and half.certificate.passed
+    assert whole.period == pytest.approx(half.period, rel=1e-12)
+    assert of.Problem(model, guess, pin=pin, symmetry="mirror+flip").boundary.parts == 4
 
 
 def rotating(kind):
@@ -268,6 +270,7 @@ WRONG = {
         "symmetries.x: 'x' is in coordinates too; give each thing a name of its own",
     ),
     "parameter": ({"k": {"signs": {"x": -1}}}, "symmetries.k: 'k' is in parameters too"),
+    "many": ({f"s{k}": {"signs": {"x": -1}} for k in range(21)}, "symmetries: 21 are declared, at most 20 are tried"),
     "table": ({"s": 3}, "symmetries: expected names with a table"),
 }
 

@@ -172,7 +172,9 @@ def _check_names(given: Table, form: str, names: Sequence[str]) -> None:
         if word in seen:
             raise InputError(f"{key}.{name}: {word!r} is in {seen[word]} too; give each thing a name of its own")
         seen[word] = key
-    for name, said in given.get("symmetries", {}).items():
+    if len(declared := given.get("symmetries", {})) > 20:
+        raise InputError(f"symmetries: {len(declared)} are declared, at most 20 are tried; leave some out")
+    for name, said in declared.items():
         moved = said.get("signs", said.get("generator"))
         known = given.get("coordinates", ()) if "generator" in said else names
         told = sorted(said) in (["generator"], ["signs"], ["signs", "time"]) and isinstance(moved, Mapping)
