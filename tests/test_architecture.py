@@ -57,7 +57,7 @@ LIBRARIES = {
 LATE = ("cli", "__main__")
 """Where imports inside functions are usual, so that --help is quick"""
 SYMMETRIES = {"brake", "reflection", "reversal", "brake+reflection"}
-SPELLING = ("loops.symmetry", "problemfile.schema", "records.family")
+SPELLING = ("loops.symmetry", "mechanics.model", "records.family")
 """The only files that spell the name of a symmetry; the last, below symmetries, for families written before 0.2"""
 
 

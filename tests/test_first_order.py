@@ -214,9 +214,10 @@ MESSAGES = {
     "value": (lambda: of.ode(lambda t, x, p: [x.a], ("a",), {"b": np.inf}), "parameters.b: must be a finite number"),
     "angles": (lambda: of.ode(lambda t, x, p: [x.a], ("a",), angles=("b",)), "angles: 'b' is no component"),
     "signs": (
-        lambda: of.ode(lambda t, x, p: [x.a], ("a",), symmetries={"s": (1, {"b": -1})}), "symmetries: 'b': -1"
+        lambda: of.ode(lambda t, x, p: [x.a], ("a",), symmetries={"s": (1, {"b": -1})}), "'b': -1}; .*components .a."
     ),
-    "sense": (lambda: of.ode(lambda t, x, p: [x.a], ("a",), symmetries={"s": (2, {})}), "sense of time 2; give 1"),
+    "sense": (lambda: of.ode(lambda t, x, p: [x.a], ("a",), symmetries={"s": (2, {})}), "sense of time 2 .*give 1"),
+    "unmoved": (lambda: of.ode(lambda t, x, p: [x.a], ("a",), symmetries={"s": (1, {"a": 1})}), "not 1 throughout"),
     "momenta": (lambda: of.hamiltonian(lambda x, c: x.p, ("q", "r"), ("p",)), "momenta: 1 names for 2"),
     "invariant": (
         lambda: of.ode(lambda t, x, p: [x.a], ("a",), invariants={"a": lambda x, p: x.a}), "names something else"

@@ -148,7 +148,7 @@ GOOD = [0.1, 0.1, 0.0, 0.0]
         (dict(guess=Guess([[0.1, 0.2, 0.3, 0.4]], 2.0)), "guess.state"),
         (dict(guess=Guess([0.1, np.nan, 0, 0], 2.0)), "guess.state: must be finite, got .*nan"),
         (dict(guess=Guess([0.1, np.inf, 0, 0], 2.0)), "guess.state: must be finite, got .*inf"),
-        (dict(symmetry="mirror"), "symmetry: unknown 'mirror'; use one of none, reflection, brake"),
+        (dict(symmetry="mirror"), "symmetry: unknown 'mirror'; use one of none, brake, reflection"),
         (dict(winding=(1,)), "winding: 1 numbers for 2 coordinates"),
         (dict(winding=(1, 0), symmetry="brake"), r"winding: a brake orbit comes back, so \[1, 0\] cannot hold"),
         (dict(winding=(1, 0), symmetry="reflection"), "winding: a reflection orbit comes back"),

@@ -256,7 +256,7 @@ def test_the_rows_of_a_relative_link():
     np.testing.assert_allclose(found, end - start, atol=1e-14)
     assert pair.shifts(found) == pytest.approx([0.7]) and tuple(pair.turns(found)) == (0, 1)
     assert tuple(beside(np.array([0.3, 1.3]), pair.relative)) == pytest.approx((0.0, 1.0))
-    assert related(named("none", of.chain(2)), of.chain(2), ()) is NONE
+    assert related(named("none", of.chain(2)), of.chain(2), ()) == NONE
 
 
 # ---- files and families ------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ passes the fixed set of R, x(t0 + t) = R x(t0 - t); one that does not, S, repeat
 x(t + T/2) = S x(t). A `Symmetry` is at most one of each: `fraction` of the period says it all. Source:
 J. S. W. Lamb, J. A. G. Roberts, Physica D 112 (1998) 1-39.
 
-Only this file and `problemfile/schema.py` spell their names.
+Only this file and `mechanics/model.py` spell their names.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from functools import lru_cache
 from itertools import product
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from scipy.interpolate import PPoly
 
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
-from orbitfinder.mechanics.model import Invariant, Model, altered, between, wrapped
+from orbitfinder.mechanics.model import Invariant, Model, altered, between, images, wrapped
 from orbitfinder.mechanics.scales import masses_of, proportions, shared, snapped, surroundings
 
 RECOGNITION = 1e-6
@@ -486,38 +487,26 @@ def declared(model: Model) -> tuple[Involution, ...]:
     return tuple(Involution(name, sense, signs, first_order=alone) for name, sense, signs in model.symmetries)
 
 
-def _usual_alone(model: Model) -> tuple[Involution, ...]:
-    """The involutions that a first-order system may have without declaring them: x -> -x; rest where x = (q, p)."""
-    mirror = Involution(REFLECTION_MAP.name, REFLECTION_MAP.sense, REFLECTION_MAP.signs, first_order=True)
-    if not model.hamiltonian:
-        return (mirror,)
-    half = model.degrees_of_freedom // 2
-    return Involution(BRAKE_MAP.name, BRAKE_MAP.sense, (1,) * half + (-1,) * half, first_order=True), mirror
-
-
 def involutions(model: Model) -> tuple[Involution, ...]:
-    """The usual involutions of a model and those that it declares."""
-    return (*(USUAL if model.rates is None else _usual_alone(model)), *declared(model))
+    """The usual involutions of a model, of a first-order system x -> -x and rest where x = (q, p), and its own."""
+    if model.rates is None:
+        return *USUAL, *declared(model)
+    half = model.degrees_of_freedom // 2
+    rest = replace(BRAKE_MAP, signs=(1,) * half + (-1,) * half, first_order=True)
+    return *[rest] * model.hamiltonian, replace(REFLECTION_MAP, first_order=True), *declared(model)
 
 
 def symmetries_of(model: Model) -> Mapping[str, Symmetry]:
     """The symmetries that a Problem of this model may ask for, by name: the usual ones and those it declares."""
-    own = declared(model)
-    if model.rates is not None:
-        own = involutions(model)
-        pairs = [(first, last) for first in own for last in own if first.sense < last.sense]
-        alone = (ALONE, *(Symmetry(maps, True) for maps in (*((involution,) for involution in own), *pairs)))
-        return {symmetry.name: symmetry for symmetry in alone}
-    backward = [BRAKE_MAP, *(involution for involution in own if involution.sense < 0)]
-    pairs = [(first, last) for first in backward for last in own if last.sense > 0]
-    pairs += [(involution, REFLECTION_MAP) for involution in own if involution.sense < 0]
-    symmetries = (*SYMMETRIES.values(), *(Symmetry((involution,)) for involution in own), *map(Symmetry, pairs))
-    return {symmetry.name: symmetry for symmetry in symmetries} if own else SYMMETRIES
+    alone, known = model.rates is not None, involutions(model)
+    pairs = [(first, last) for first in known for last in known if first.sense < last.sense and first != REVERSAL_MAP]
+    made = (Symmetry(maps, alone) for maps in ((), *((each,) for each in known), *pairs))
+    return {each.name: each for each in made}
 
 
 def named(name: str, model: Model) -> Symmetry:
     """The symmetry with a name, of a mirror that nobody declares too; `InputError` names the known ones."""
-    known = SYMMETRIES if name in SYMMETRIES and model.rates is None else symmetries_of(knowing(model, name))
+    known = symmetries_of(knowing(model, name))
     if name not in known:
         raise InputError(f"symmetry: unknown {name!r}; use one of {', '.join(known)}")
     return known[name]
@@ -635,16 +624,12 @@ def _apart(
     Coordinates are measured in `lengths` (n). Of a first-order system f(sense t, P q) = sense P f(t, q) is asked of
     its rates.
     """
-    t, q, v = at
-    places = involution.places(q.size)
-    image = involution.sense * t + shift, places @ q
-    if model.rates is not None:
-        here = involution.sense * places @ model.rates(t, q, model.parameter_values).full().ravel()
-        there = model.rates(*image, model.parameter_values).full().ravel()
-    else:
-        here = places @ model.acceleration(t, q, v, model.parameter_values).full().ravel()
-        there = model.acceleration(*image, involution.sense * (places @ v), model.parameter_values).full().ravel()
-    return float(np.abs((there - here) / lengths).max()), float(np.abs(here / lengths).max())
+    places = ca.DM(involution.places(lengths.size))
+    pair = images(
+        model, involution.sense, places, [*(each for each in at if np.size(each)), model.parameter_values], shift
+    )
+    there, here = pair.full().T / lengths
+    return float(np.abs(there + here).max()), float(np.abs(here).max())
 
 
 def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
@@ -658,8 +643,6 @@ def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
     lengths, clock = surroundings(model, np.zeros(n))
     states = random.normal(0, 1.0, (4, 2, n)) + np.array([np.ones(n), np.zeros(n)])
     known = {signs for _, sense, signs in model.symmetries if sense < 0}
-    signs = [pattern for pattern in product((1, -1), repeat=n) if len(set(pattern)) > 1 and pattern not in known]
-    candidates = [Involution("mirror", -1, sign) for sign in signs]
     states *= np.array([lengths, lengths / clock])
 
     def kept(candidate: Involution) -> bool:
@@ -668,11 +651,14 @@ def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
             for apart, size in (_apart(model, candidate, (0.0, *x), 0.0, lengths) for x in states)
         )
 
-    mirrors, names = [candidate for candidate in candidates if kept(candidate)], model.state_names[:n]
-    if len(mirrors) + len(model.symmetries) < 2:
-        return tuple(mirrors)
-    turned = ["-".join(name for name, sign in zip(names, mirror.signs, strict=True) if sign < 0) for mirror in mirrors]  # type: ignore[arg-type]
-    return tuple(replace(mirror, name=f"mirror-{which}") for mirror, which in zip(mirrors, turned, strict=True))
+    mirrors = []
+    for signs in product((1, -1), repeat=n):
+        turned = [name for name, sign in zip(model.coordinates, signs, strict=True) if sign < 0]
+        candidate = Involution("-".join(["mirror", *turned]), -1, signs)
+        if len(set(signs)) > 1 and signs not in known and kept(candidate):
+            mirrors.append(candidate)
+    alone = len(mirrors) + len(model.symmetries) < 2
+    return tuple(replace(each, name="mirror") for each in mirrors) if alone else tuple(mirrors)
 
 
 def with_mirrors(model: Model) -> Model:
@@ -683,7 +669,7 @@ def with_mirrors(model: Model) -> Model:
 
 def knowing(model: Model, name: str) -> Model:
     """The Model, with its mirrors declared where the name of a symmetry is one of theirs."""
-    return model if name in SYMMETRIES or name in symmetries_of(model) else with_mirrors(model)
+    return model if name in symmetries_of(model) else with_mirrors(model)
 
 
 # ---- recognition -------------------------------------------------------------------------------------------
@@ -697,25 +683,21 @@ def recognise(times: np.ndarray, states: np.ndarray, model: Model, *, own: bool 
     """
     if not model.smooth:
         return NONE.name
-    angles = model.angular
-    if model.rates is not None:
-        return _first_order(states, involutions(model) if own else _usual_alone(model), angles)
-    states = states / np.tile(proportions(model, states[0]), 2)
-    found = [involution for involution in QUARTER.maps if has(involution, times, states, angles)]
-    for involution in (REVERSAL_MAP, *(declared(model) if own else ())):
-        taken = {each.sense for each in found}
-        if (
-            involution.sense not in taken
-            and (involution is not REVERSAL_MAP or not found)
-            and has(involution, times, states, angles)
-        ):
-            found.append(involution)
-    return Symmetry(tuple(sorted(found, key=lambda involution: involution.sense))).name
+    if model.rates is None:
+        states = states / np.tile(proportions(model, states[0]), 2)
+    kept = dict[int, Involution]()
+    for each in involutions(model if own else altered(model, symmetries=())):
+        able = each.sense not in kept and not (kept and each == REVERSAL_MAP)
+        if able and has(each, times, states, model.angular):
+            kept[each.sense] = each
+    return Symmetry(tuple(kept[sense] for sense in sorted(kept))).name
 
 
 def has(involution: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> bool:
     """Whether samples over a period have a symmetry, wherever in it they begin."""
     if involution.sense < 0:
+        if involution.first_order:
+            return _reversed(involution, states, angles)
         return _mirrored(involution, times, states, angles)
     half = (len(states) - 1) // 2
     gaps = wrapped(states[half : 2 * half] - states[:half] @ involution.matrix(angles.size).T, angles)
@@ -734,20 +716,6 @@ def _moved(states: np.ndarray, angles: np.ndarray) -> np.ndarray:
     extent = np.ptp(states, axis=0)
     least = RECOGNISED.still * extent.max() if angles.size == extent.size else 0.0
     return shared(np.maximum(extent, least), angles)
-
-
-def _first_order(states: np.ndarray, known: Sequence[Involution], angles: np.ndarray) -> str:
-    """The name of the symmetry, of the known ones, that states (k+1 x d) of a first-order system over T have."""
-    found: list[Involution] = []
-    for involution in known:
-        holds = (
-            _reversed(involution, states, angles)
-            if involution.sense < 0
-            else has(involution, np.zeros(0), states, angles)
-        )
-        if holds and involution.sense not in {each.sense for each in found}:
-            found.append(involution)
-    return Symmetry(tuple(sorted(found, key=lambda involution: involution.sense)), True).name
 
 
 def _reversed(involution: Involution, states: np.ndarray, angles: np.ndarray) -> bool:

@@ -16,13 +16,14 @@ from random import Random
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 PRIME, SPARE, MOST, LARGEST = 2**127 - 1, 3, 100, 2**40
 """Points in a row that say nothing new; components of the largest system that is searched; numerators and denominators
 of a solution"""
-DECIMAL, ROUND_OFF = 10**6, 1e-15
+DECIMAL, ROUND_OFF, VANISHES = 10**6, 1e-15, 1e-9
 """A number of the equations stands for a fraction of such a denominator to its round-off, else for its decimals; whole
-powers are at most so large"""
+powers are at most so large; a sum that is below this share of its terms is 0"""
 
 
 def linear_invariants(inputs: Sequence[ca.SX], rate: ca.SX) -> list[list[int]]:
@@ -72,6 +73,23 @@ def linear_invariants(inputs: Sequence[ca.SX], rate: ca.SX) -> list[list[int]]:
         row = [(each * scale + LARGEST) % PRIME - LARGEST for each in c]
         rows += [row] if max(map(abs, row)) < LARGEST else []
     return rows
+
+
+def discrepancy(inputs: Sequence[Any], terms: Any, values: Any, near: float = 0.1) -> str:
+    """How far the terms (m x k) of some row are from adding up to 0, in words; "" where that is round-off.
+
+    They are tried at seeded inputs, every other time at positive ones, and at `values` of the last, the parameters, and
+    at others that differ by multiples of the share `near`.
+    """
+    sums = ca.Function("sums", inputs, [ca.horzcat(ca.fabs(ca.sum2(terms)), ca.sum2(ca.fabs(terms)))])
+    random, numbers, said = np.random.default_rng(0), np.asarray(values, float), "numbers that are nowhere finite"
+    for k in range(8):
+        given = [0.5 ** (k // 2) * random.normal(size=each.numel()) ** (1 + k % 2) for each in inputs[:-1]]
+        off, size = sums(*given, numbers + near * k * np.where(numbers, numbers, 1.0)).full().T
+        if np.any(wrong := off > VANISHES * size):
+            return f"{off[wrong].max():.3g} of terms as large as {size[wrong].max():.3g}"
+        said = "" if np.isfinite(off).all() else said
+    return said
 
 
 def _power(base: int, exponent: int) -> int:

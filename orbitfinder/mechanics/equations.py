@@ -15,13 +15,14 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import checked
 from orbitfinder.errors import InputError, closest, shortened
+from orbitfinder.mechanics.conserved import discrepancy
 from orbitfinder.mechanics.controls import Limits, with_controls
 from orbitfinder.mechanics.expression import FUNCTIONS, expression
-from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
+from orbitfinder.mechanics.first_order import TAKEN, Named, hamiltonian, ode
 from orbitfinder.mechanics.hybrid import Transition, changed, hybrid
 from orbitfinder.mechanics.kind import KINDS, SystemKind
-from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.lagrange import Symbols, lagrange, mirrors
+from orbitfinder.mechanics.model import USUAL_SYMMETRIES, Model, altered, images
 from orbitfinder.mechanics.scales import with_units
 from orbitfinder.records.reading import Entries, Table
 
@@ -55,6 +56,7 @@ def equations(
     coordinates: Sequence[str] = (),
     momenta: Sequence[str] = (),
     invariants: Mapping[str, str] | None = None,
+    symmetries: Mapping[str, Mapping[str, Any]] | None = None,
     events: Mapping[str, Mapping[str, Any]] | None = None,
     cycle: Sequence[str] = (),
     left_out: Sequence[str] = (),
@@ -82,6 +84,10 @@ def equations(
         coordinates: names of q, for hamiltonian and kinetic.
         momenta: names of p in the same order, for hamiltonian.
         invariants: first integrals by name, which keep their value along motions; the energy of others is known.
+        symmetries: by name, mirrors {"time": -1, "signs": {"y": -1}}, which change the time (1 unless said) and states
+            or coordinates by their signs; and shifts and rotations of coordinates, {"generator": {"x": "-y", "y":
+            "x"}}, whose momentum is an invariant of that name. The equations must have them whichever values the
+            parameters have.
         events: of rates, resets by name, {"guard": "v - 30", "direction": 1, "reset": {"v": "c", "u": "u + d"}}: where
             the guard rises (1) or falls (-1) through 0 the states of `reset` get these values of the state before.
         cycle: names of the events of one period in their order, those of the guess's motion when left out.
@@ -124,6 +130,7 @@ def equations(
         "rates": partial(_first_order, find_invariants), "hamiltonian": _hamiltonian, "kinetic": _lagrange
     }  # fmt: skip
     made = make[form](given, names)
+    _check_mirrors(made)
     return with_units(with_controls(made, [*controls], controls) if controls else made, units)
 
 
@@ -153,17 +160,27 @@ def _check_names(given: Table, form: str, names: Sequence[str]) -> None:
         raise InputError(f"states: {', '.join(names)}, but rates of {', '.join(given['rates'])}; name each state once")
     called = [(name, "coordinates" if form != "rates" else "rates") for name in names]
     called += [(f"{name}dot", "coordinates") for name in names if form == "kinetic"]
-    called += [(name, key) for key in ("parameters", "let") for name in given.get(key, ())]
+    called += [(name, key) for key in ("parameters", "let", "symmetries") for name in given.get(key, ())]
     seen: dict[str, str] = {}
     for name, key in called:
         word, arguments = _head(name) if key == "let" else (name, ())
         for part in (word, *(arguments or ())):
-            if not part.isidentifier() or not part.isascii() or part in RESERVED:
+            taken = (*USUAL_SYMMETRIES, *TAKEN) if key == "symmetries" else RESERVED
+            if not part.isidentifier() or not part.isascii() or part in taken:
                 raise InputError(f"{key}.{name}: {part!r} is no name that is free; use letters, digits and _, such as "
                                  f"{re.sub('[^A-Za-z0-9_]', '', part) or 'x'}_1")  # fmt: skip
         if word in seen:
             raise InputError(f"{key}.{name}: {word!r} is in {seen[word]} too; give each thing a name of its own")
         seen[word] = key
+    if len(declared := given.get("symmetries", {})) > 20:
+        raise InputError(f"symmetries: {len(declared)} are declared, at most 20 are tried; leave some out")
+    for name, said in declared.items():
+        moved = said.get("signs", said.get("generator"))
+        known = given.get("coordinates", ()) if "generator" in said else names
+        told = sorted(said) in (["generator"], ["signs"], ["signs", "time"]) and isinstance(moved, Mapping)
+        if not (told and moved and moved.keys() <= {*known}):
+            raise InputError(f"symmetries.{name}: got {shortened(repr(said))}; give time = 1 or -1, and signs = {{x = "
+                             f"-1}} of {', '.join(names)}, or generator = {{x = '-y'}} of coordinates")  # fmt: skip
     for key in ("angles", "forces"):
         if strange := [name for name in given.get(key, ()) if name not in names]:
             raise InputError(f"{key}: {strange[0]!r} is none{closest(strange[0], names)}; known are {', '.join(names)}")
@@ -182,7 +199,7 @@ def _head(name: str) -> tuple[str, list[str] | None]:
 
 def _check_time(given: Table, form: str) -> None:
     """`InputError` for texts that are too long, for a dependence on time without its period, and the reverse."""
-    tables = {f"{key}.{name}": text for key in ("rates", "let", "forces", "invariants")
+    tables = {f"{key}.{name}": str(text) for key in ("rates", "let", "forces", "invariants", "symmetries")
               for name, text in given.get(key, {}).items()}  # fmt: skip
     for name, event in given.get("events", {}).items():
         tables |= {f"events.{name}": " ".join(map(str, (event.get("guard"), *event.get("reset", {}).values())))}
@@ -295,7 +312,25 @@ def _transitions(given: Table, names: Sequence[str]) -> Iterator[Transition]:
 def _common(given: Table) -> Entries:
     """What states say beside their equations."""
     invariants = {name: partial(_integral, given, name, text) for name, text in given.get("invariants", {}).items()}
-    return dict(invariants=invariants, angles=given.get("angles", ()), forcing_period=_clock(given), system=given)
+    return dict(invariants=invariants, angles=given.get("angles", ()), forcing_period=_clock(given), system=given,
+                symmetries=_declared(given, "signs"))  # fmt: skip
+
+
+def _declared(given: Table, key: str) -> dict[str, Any]:
+    """Sense of time and signs or a generator, as the `key` says, of symmetries by name."""
+    declared = given.get("symmetries", {}).items()
+    return {name: (said.get("time", 1), said[key]) for name, said in declared if key in said}
+
+
+def _check_mirrors(made: Model) -> None:
+    """`InputError` for declared signs under which the equations change; forwards, about half of the forcing too."""
+    at = (made.rates or made.acceleration).mx_in()
+    clock = made.forcing_period(at[-1]) / 2 if made.forcing_period else 0.0
+    for name, sense, signs in made.symmetries:
+        pairs = (images(made, sense, ca.diag(ca.DM(signs)), at, late) for late in (0.0, clock)[: 1 + (sense > 0)])
+        if all(off := [discrepancy(at, pair, made.parameter_values) for pair in pairs]):
+            raise InputError(f"symmetries: under {name!r} the equations change by {off[0]}; correct its signs, or "
+                             "leave it out")  # fmt: skip
 
 
 def _integral(given: Table, name: str, text: str, x: Named, p: Named) -> Any:
@@ -306,8 +341,12 @@ def _hamiltonian(given: Table, names: Sequence[str]) -> Model:
     def energy(*at: Any) -> Any:
         return _reader(given, *(ca.SX.sym("t"), *at)[-3:])(given["hamiltonian"], "hamiltonian")
 
-    coordinates = given["coordinates"]
-    return hamiltonian(energy, coordinates, names[len(coordinates) :], given["parameters"], **_common(given))
+    coordinates, common = given["coordinates"], _common(given)
+    momenta = names[len(coordinates) :]
+    for name, (_, moved) in _declared(given, "generator").items():
+        terms = (f"{p}*({moved[q]})" for q, p in zip(coordinates, momenta, strict=False) if q in moved)
+        common["invariants"][name] = partial(_integral, given, name, " + ".join(terms))
+    return hamiltonian(energy, coordinates, momenta, given["parameters"], **common)
 
 
 def _lagrange(given: Table, names: Sequence[str]) -> Model:
@@ -321,11 +360,16 @@ def _lagrange(given: Table, names: Sequence[str]) -> Model:
         clock(known[2]) if callable(clock) else clock,
     )  # fmt: skip
     acting = [read(forces[name], f"forces.{name}") if name in forces else 0.0 for name in names]
-    return lagrange(
+    made = lagrange(
         ca.SX(read(given["kinetic"], "kinetic")), ca.SX(read(given.get("potential", "0"), "potential")), symbols,
         forces=ca.vertcat(*acting) if forces else None, names=names,
         angles=[name in given.get("angles", ()) for name in names], system=given, controls=[*given.get("controls", ())],
+        generators={
+            name: ca.SX(ca.vertcat(*(read(str(moved.get(each, 0)), f"symmetries.{name}.{each}") for each in names)))
+            for name, (_, moved) in _declared(given, "generator").items()
+        },
     )  # fmt: skip
+    return altered(made, symmetries=mirrors(_declared(given, "signs"), names))
 
 
 def _build(system: Table, _: Path | None) -> Model:

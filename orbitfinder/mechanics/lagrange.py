@@ -14,7 +14,7 @@ import numpy as np
 from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, shortened
-from orbitfinder.mechanics.conserved import MOST, linear_invariants
+from orbitfinder.mechanics.conserved import MOST, discrepancy, linear_invariants
 from orbitfinder.mechanics.controls import Limits, checked_controls, checked_limits, divided
 from orbitfinder.mechanics.factorise import acceleration_function
 from orbitfinder.mechanics.model import Drive, Dynamics, Invariant, Mechanics, Model, Structure, altered
@@ -156,13 +156,14 @@ MANY = 6
 
 def detected_invariants(
     terms: Terms, labels: Sequence[str], arguments: Sequence[ca.SX], cyclic: Sequence[bool] | None = None,
-    angles: Sequence[bool] = (),
+    angles: Sequence[bool] = (), declared: Mapping[str, ca.SX] | None = None, values: Sequence[float] = (),
 ) -> list[Invariant]:  # fmt: skip
     """Energy where no force acts, and the momentum dL/dv.g of each direction g(q) along which L stays what it is and no
     force acts: of each coordinate that L does not contain or, if that is given, is `cyclic`; else also of shifts of
     several coordinates and rotations of those that are no `angles`: dL/dq.g + dL/dv.(dg/dq v) = 0 for all (t, q, v, p).
 
-    Source: Goldstein, Classical Mechanics, sections 2.6 and 13.7.
+    Directions that are `declared` are tried about `values` of the parameters and stand for those that say the same.
+    Source: Goldstein, Classical Mechanics, sections 2.6 and 13.7. Raises `InputError`.
     """
     _, q, v, p = arguments
     lagrangian = terms.kinetic - terms.potential + (0 if terms.gyroscopic is None else terms.gyroscopic)
@@ -191,12 +192,40 @@ def detected_invariants(
         directions[turn if first.startswith("angular") else shift] = ca.mtimes(
             ca.horzcat(*tried.values()), ca.DM(parts)
         )
-    for name, along in directions.items():
-        fit, along = ca.Function.fix_name(name), ca.densify(along)
+    own, kept = {name: ca.SX(each) for name, each in (declared or {}).items()}, dict[str, ca.SX]()
+    for name, along in own.items():
+        if along.shape != q.shape or strangers(along, [q, p]):
+            raise InputError(f"symmetries: {name!r} is {shortened(str(along))}; give {len(labels)} expressions of "
+                             "coordinates and parameters")  # fmt: skip
+        ways = ca.horzcat(((slope + share * force) * along).T, (momentum * ca.jtimes(along, q, v)).T)
+        if off := discrepancy([*arguments[:3], share, p], ways, values):
+            raise InputError(f"symmetries: along {name!r} the Lagrangian changes, or forces act, by {off}; correct its "
+                             "generator, or leave it out")  # fmt: skip
+    for name, along in (*own.items(), *directions.items()) if own else ():
+        levels = [ca.dot(momentum, each) for each in (*kept.values(), along)]
+        if not linear_invariants(arguments, ca.vertcat(*levels)):
+            kept[name + "_2" * (name in kept)] = along
+        elif along is own.get(name):
+            raise InputError(f"symmetries: {name!r} moves nothing, or as others do; leave it out")
+    for name, along in (kept or directions).items():
+        along, fit = ca.densify(along), ca.Function.fix_name
         made = {"": ca.dot(momentum, along), "_unfolding": along, "_shift": ca.vertcat(along, ca.jtimes(along, q, v))}
-        functions = (ca.Function(f"{fit}{word}", [q, v, p], [value]) for word, value in made.items())
+        functions = (ca.Function(fit(f"{name}{word}"), [q, v, p], [value]) for word, value in made.items())
         invariants.append(Invariant(name, *functions))
     return invariants
+
+
+def mirrors(
+    symmetries: Mapping[str, tuple[int, Mapping[str, int]]], names: Sequence[str]
+) -> tuple[tuple[str, int, tuple[int, ...]], ...]:
+    """Declared symmetries {name: (sense of time, {component: sign})} as a Model keeps them. Raises `InputError`."""
+    for name, (sense, moved) in symmetries.items():
+        signs = [sense, *moved.values()]
+        if -1 not in signs or any(sign not in (1, -1) for sign in signs) or moved.keys() - {*names}:
+            raise InputError(f"symmetries: {name!r} has the sense of time {sense!r} and the signs {moved}; give 1 or "
+                             f"-1 of components ({', '.join(names)}), not 1 throughout")  # fmt: skip
+    return tuple((name, int(sense), tuple(int(moved.get(each, 1)) for each in names))
+                 for name, (sense, moved) in symmetries.items())  # fmt: skip
 
 
 def lagrange(
@@ -213,6 +242,7 @@ def lagrange(
     strokes: Sequence[tuple[str, tuple[int, ...]]] = (),
     system: Table | None = None,
     symmetries: Mapping[str, Sequence[int]] | None = None,
+    generators: Mapping[str, ca.SX] | None = None,
     scales: Mapping[str, float] | None = None,
     controls: Sequence[str] = (),
     limits: Limits | None = None,
@@ -238,6 +268,8 @@ def lagrange(
         system: a description from which files rebuild the Model.
         symmetries: reversals (q_i, t) -> (s_i q_i, -t) by name, {"mirror": (1, -1)}: orbits that have one are
             labelled, found over half a period and searched for; the equations are tried when one is asked for.
+        generators: directions g(q, p) (n) in which L stays as it is and no force acts, whose momenta dL/dv.g join those
+            that are detected by these names.
         scales: sizes to measure in, of coordinates and parameters by name or "length" of all coordinates that are no
             angles, where no motion shows them yet (modes, searches).
         controls: parameters that may vary in time.
@@ -273,7 +305,9 @@ def lagrange(
         terms,
         symbols,
         labels,
-        invariants=detected_invariants(terms, labels, arguments, angles=turning) if invariants is None else invariants,
+        invariants=detected_invariants(terms, labels, arguments, None, turning, generators, symbols.parameter_values)
+        if invariants is None
+        else invariants,
         system=system,
         angles=turning,
         **pictured(points, [q, p]),

@@ -152,6 +152,10 @@ class Mechanics:
     constraint: HolonomicConstraint | None = None
 
 
+USUAL_SYMMETRIES = ("none", "brake", "reflection", "reversal", "brake+reflection")
+"""Those that need no declaration by the system"""
+
+
 @dataclass(frozen=True)
 class Structure:
     """What motions keep and repeat.
@@ -475,6 +479,14 @@ def inputs_of(function: ca.Function) -> list[Any]:
 def altered(model: Model, **changes: Any) -> Model:
     """The Model with some fields changed, those of its parts by their own names; as `dataclasses.replace`."""
     return replace(model, **changes)
+
+
+def images(model: Model, sense: int, places: Any, at: Sequence[Any], shift: Any = 0.0) -> Any:
+    """Rates x' or accelerations where (t, x, p) or (t, q, v, p) goes with t -> sense t + shift, q -> P q, and minus
+    what those of `at` become: n x 2 with rows that add up to 0 where the equations have that symmetry."""
+    field, (t, *state, p) = model.rates or model.acceleration, at
+    image = (sense**k * places @ each for k, each in enumerate(state))
+    return ca.horzcat(field(sense * t + shift, *image, p), -(sense ** len(state)) * places @ field(*at))
 
 
 def constraint_of(model: Model) -> HolonomicConstraint:

@@ -25,6 +25,7 @@ from orbitfinder.errors import InputError, LimitError, closest, plural
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.control import Control, Task
 from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import declared, with_mirrors
 from orbitfinder.mechanics.constrained import maximal_states
 from orbitfinder.mechanics.kind import (
     OTHER,
@@ -96,7 +97,9 @@ class ProblemFile:
             "title": self.title, "system": system_kind(system).words(system), "states": list(model.state_names),
             "parameters": dict(zip(model.parameter_names, model.parameter_values.tolist(), strict=True)),
             "forced": model.forced, "events": [each.name for each in model.hybrid.transitions] if model.hybrid else [],
-            "invariants": [each.name for each in model.invariants], "rates": system.get("rates", {}),
+            "invariants": [each.name for each in model.invariants],
+            "symmetries": {each.name: each.in_words(model.coordinates) for each in declared(with_mirrors(model))},
+            "rates": system.get("rates", {}),
             "left_out": system.get("left_out", []), "start": self.start,
         })  # fmt: skip
         return facts
@@ -201,8 +204,7 @@ def read_toml(source: Path) -> Entries:
 def parse(document: Mapping[str, Any], where: str) -> ProblemTable:
     """The checked tables of a document; `InputError` is about all that is wrong, unknown keys last."""
     try:
-        declares = isinstance(system := document.get("system"), Mapping) and "function" in system
-        return ProblemTable.model_validate(document, context={"declares": declares})
+        return ProblemTable.model_validate(document)
     except ValidationError as error:
         faults = error.errors(include_url=False)
         faults.sort(key=lambda fault: fault["type"] == "extra_forbidden")

@@ -18,7 +18,6 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    ValidationInfo,
     create_model,
     model_validator,
 )
@@ -289,24 +288,12 @@ def systems() -> dict[str, type[Table]]:
     return made | {"robot": table_of("robot", robot), "python": PythonSystem}
 
 
-USUAL_SYMMETRIES = ("none", "brake", "reflection", "reversal", "brake+reflection")
-"""Those that need no declaration by the system"""
-
-
 def check_name(name: str) -> str:
     """A name that is safe as a folder: letters, digits, -, _ and ., not starting with a dot."""
     if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}", name) or ".." in name:
         raise PydanticCustomError(
             "name", "must consist of letters, digits, -, _ and ., must not start with . nor contain .., at most 100"
         )
-    return name
-
-
-def _known_symmetry(name: str, info: ValidationInfo) -> str:
-    """A usual symmetry; of a system made by Python, whose Model may declare others, any: the Problem will tell."""
-    if name not in USUAL_SYMMETRIES and not (info.context or {}).get("declares"):
-        known = ", ".join(f"'{symmetry}'" for symmetry in USUAL_SYMMETRIES[:-1])
-        raise PydanticCustomError("literal_error", f"Input should be {known} or '{USUAL_SYMMETRIES[-1]}'")
     return name
 
 
@@ -411,9 +398,9 @@ class FindTable(Table):
         "s, or a state component at t = 0 such as theta1, and beside it values of physical parameters; when left out, "
         "the orbit nearest to the guess",
     )
-    symmetry: Annotated[str, AfterValidator(_known_symmetry)] = key(
+    symmetry: Line = key(
         "symmetry imposed on the orbit: none, brake, reflection, reversal (q(-t) = -q(t), running orbits included), "
-        "brake+reflection, or one that a Python system declares or has (mirror of restricted_three_body); of a hybrid "
+        "brake+reflection, or one that the system declares or has (mirror of restricted_three_body); of a hybrid "
         "system one that takes half of the events of its cycle to the other half",
         "none",
     )
