@@ -235,7 +235,10 @@ def _through_impacts(orbit: Orbit, model: Model, turns: np.ndarray) -> tuple[Hyb
 
 def _smoothly(orbit: Orbit, model: Model, turns: np.ndarray) -> tuple[Evidence, float]:
     given = model, orbit.state, orbit.period, turned(model, turns, orbit.shift)
-    smooth = gather(*given, np.concatenate([times for _, times, _, _ in _pictured(orbit)]))
+    moments = np.concatenate([times for _, times, _, _ in _pictured(orbit)])
+    smooth = gather(*given, moments)
+    if smooth.motion.missed is None and _multiplier_distance(orbit, smooth.floquet) > Tolerances.multipliers:
+        smooth = gather(*given, moments, doubted=True)
     return smooth, second_closure(*given, smooth.extents)
 
 

@@ -487,8 +487,10 @@ def gather(
     turns: np.ndarray,
     moments: Sequence[float] | np.ndarray = (),
     settings: ReferenceSettings = TIGHTEST,
+    doubted: bool = False,
 ) -> Evidence:
-    """The `Evidence` of a state (2n) and a period (s), the motion's states at further `moments` with it."""
+    """The `Evidence` of a state (2n) and a period (s), the motion's states at further `moments` with it, in long double
+    also where nothing but the multipliers is `doubted`."""
     motion_of = system_kind(model.system).motion(model) or canonical_motion
     motion = motion_of(model, state, period, turns, np.unique(np.append(evenly(period), moments)), settings)
     at = np.searchsorted(motion.times, evenly(period))
@@ -498,7 +500,7 @@ def gather(
     loop = _looped(model, motion, units, path, period)
     plain = motion_of is canonical_motion and units.size <= MOST
     for quadruple in (False, True):
-        if not plain or loop.closes.distance >= FALSE or not _rounded(loop):
+        if not plain or loop.closes.distance >= FALSE or not (_rounded(loop) or (doubted and not quadruple)):
             break
         with suppress(IntegrationError):
             sharp = _sharpened(model, motion, units, quadruple)

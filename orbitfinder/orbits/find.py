@@ -21,6 +21,7 @@ from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.method import solved
+from orbitfinder.orbits.shoot import closer
 from orbitfinder.records.orbit import Orbit
 
 NEAR_ONE = 1e-3
@@ -69,6 +70,8 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
         orbit, model = solved(problem, settings, elapsed, began)
         if settings.with_certificate:
             orbit = certified(orbit, model)
+            if orbit.certificate and not orbit.certificate.passed:
+                orbit = closer(problem, orbit, model)
             hint(unexplained_multipliers(problem, orbit))
             hint(passed_stops(problem.model, orbit))
         if progress:

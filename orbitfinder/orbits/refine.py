@@ -157,6 +157,11 @@ class Refiner(Shown):
                 return self._solved(carried(self.equations, self._first, given), pins)
         return self._solved(self._begun(given), pins)
 
+    def closely(self) -> tuple[Orbit, Model]:
+        """`measured` of the guess itself, closed on a mesh that fits its motion."""
+        self._uneven = True
+        return self.measured(self.refine())
+
     def _begun(self, guess: Guess) -> Unknowns:
         """The unknowns of a hybrid motion, simulated from a guess."""
         return first_unknowns(self.equations, guess, self.segments, self._steps(self.segments))

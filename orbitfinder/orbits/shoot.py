@@ -5,6 +5,7 @@ Before that a problem is looked at: do its invariants hold, how often do its ang
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -38,7 +39,9 @@ from orbitfinder.loops.symmetry import NONE, off_centre, symmetries_of, with_mir
 from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, between
 from orbitfinder.mechanics.scales import extents_of
+from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import gap
+from orbitfinder.orbits.evidence import MOST
 from orbitfinder.orbits.guesses.balance import balanced_guess
 from orbitfinder.orbits.guesses.settled import cycles
 from orbitfinder.orbits.hybrid import STEPS, first_unknowns
@@ -234,6 +237,26 @@ def _mirrors(problem: Problem) -> list[str]:
 def _refined(problem: Problem) -> tuple[Orbit, Model]:
     refiner = Refiner(problem)
     return refiner.measured(refiner.refine())
+
+
+CLOSELY = {"closure", "distance", "second_closure", "trivial_multipliers", "floquet_multipliers", "pair_defect"}
+"""What a certificate refuses of an orbit that has not been closed well enough, or whose multipliers have not"""
+
+
+def closer(problem: Problem, orbit: Orbit, model: Model) -> Orbit:
+    """A refused orbit closed and measured again, in long double where that can be had, if that is certified."""
+    assert orbit.certificate is not None
+    alone = model.smooth and model.constraint is None and len(model.state_names) <= MOST
+    if not alone or not set(orbit.certificate.failures) <= CLOSELY or not _square(problem):
+        return orbit
+    guess = Guess(orbit.state, orbit.period)
+    pins = problem.pin if not problem.count().freedom else natural_pin(problem, orbit.state)
+    with suppress(*UNSOLVED):
+        again, model = Refiner(replace(problem, guess=guess, pin=pins, winding=orbit.winding)).closely()
+        again = certified(replace(again, provenance=orbit.provenance), model)
+        if again.certificate and again.certificate.passed:
+            return again
+    return orbit
 
 
 def found_hybrid(
