@@ -252,9 +252,9 @@ def _key(code: str, compiler: Compiler) -> str:
 
 
 def _leveled(level: str) -> Compiler:
-    """The compiler, with a level of optimisation."""
+    """The compiler, with a level of optimisation or other flags."""
     compiler = find_compiler()
-    return replace(compiler, tuning=(*compiler.tuning, level)) if level else compiler
+    return replace(compiler, tuning=(*compiler.tuning, *level.split()))
 
 
 def begin(make_code: Callable[[], str], effort: float | None, level: str = "") -> None:

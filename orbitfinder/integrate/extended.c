@@ -20,9 +20,10 @@ int extrapolated(ptrdiff_t n, long double *state, long double *at, const double 
                  double allowed, ptrdiff_t left) {
   casadi_int args, results, whole, reals;
   FIELD_work(&args, &results, &whole, &reals);
-  const casadi_real **arg = malloc((args + results + 3) * sizeof(casadi_real *) + whole * sizeof(casadi_int) + 64);
-  casadi_real *w = malloc((reals + (ROWS + 6) * n + FREED + 1) * sizeof(casadi_real));
-  if (!arg || !w) { free(arg), free(w); return 1; }
+  const size_t places = (args + results + 3) * sizeof(casadi_real *) + whole * sizeof(casadi_int) + 64;
+  const casadi_real **arg = (const casadi_real **)malloc(places);
+  casadi_real *w = (casadi_real *)malloc((reals + (ROWS + 6) * n + FREED + 1) * sizeof(casadi_real));
+  if (!arg || !w) { free((void *)arg), free(w); return 1; }
   casadi_real **res = (casadi_real **)(arg + args + 3), *table = w + reals, *before = table + ROWS * n;
   casadi_real *here = before + n, *rate = here + n, *first = rate + n, *x = first + n, *y = x + n, *values = y + n;
   casadi_int *iw = (casadi_int *)(res + results);
@@ -44,14 +45,15 @@ int extrapolated(ptrdiff_t n, long double *state, long double *at, const double 
       RATE(t + h, here[i], rate)
       EACH table[row * n + i] = (here[i] + before[i] + part * rate[i]) / 2;
     }
-    casadi_real off = 0; /* what the last order changes, in units or in sizes where these are larger */
+    long double off = 0; /* what the last order changes, in units or in sizes where these are larger */
     EACH for (int order = 1; order < ROWS; order++) for (int row = ROWS - 1; row >= order; row--) {
       const casadi_real ratio = PARTS[row] / (casadi_real)PARTS[row - order], *finer = table + row * n + i;
-      const casadi_real change = (finer[0] - finer[-n]) / (ratio * ratio - 1), share = fabs(change) / (1 + fabs(y[i]));
+      const casadi_real change = (finer[0] - finer[-n]) / (ratio * ratio - 1);
+      const long double share = fabsl((long double)change) / (1 + fabsl((long double)y[i]));
       table[row * n + i] += change;
       if (order == ROWS - 1 && !(share <= off)) off = share;
     }
-    casadi_real factor = off == 0 ? 4 : 0.9L * pow(allowed / off, 1.0L / (2 * ROWS - 1));
+    const long double factor = off == 0 ? 4 : 0.9L * powl(allowed / off, 1.0L / (2 * ROWS - 1));
     if (off <= allowed) {
       t = last ? at[2] : t + h;
       EACH y[i] += table[(ROWS - 1) * n + i];
@@ -59,8 +61,8 @@ int extrapolated(ptrdiff_t n, long double *state, long double *at, const double 
     }
     h *= factor > 4 ? 4 : factor > 0.1L ? factor : 0.1L;
   }
-  at[0] = t, at[1] = h;
-  EACH state[i] = y[i] * units[i], state[n + i] = y[i] * units[i] - state[i];
-  free(arg), free(w);
+  at[0] = (long double)t, at[1] = (long double)h;
+  EACH x[i] = y[i] * units[i], state[i] = (long double)x[i], state[n + i] = (long double)(x[i] - state[i]);
+  free((void *)arg), free(w);
   return 0;
 }

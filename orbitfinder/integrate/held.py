@@ -58,7 +58,8 @@ def apart(code: str) -> tuple[str, np.ndarray]:
     code = _TABLE.sub(table, code)
     if not numbers:
         return code, np.zeros(0)
-    lines = ["", "#ifdef CASADI_SYMBOL_EXPORT", "CASADI_SYMBOL_EXPORT", "#endif", "void hold(const double *given) {"]
+    lines = ["", "#ifdef __cplusplus", 'extern "C"', "#endif", "#ifdef CASADI_SYMBOL_EXPORT", "CASADI_SYMBOL_EXPORT",
+             "#endif", "void hold(const double *given) {"]  # fmt: skip
     return "\n".join([code, *lines, *tables, "}", ""]), np.array(numbers)
 
 
