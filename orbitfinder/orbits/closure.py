@@ -40,6 +40,7 @@ REACHES = 1e-3
 MATRIX, STILL, SHAKEN = 1e-13, 1e-9, 3.0
 """Relative error of a state-transition matrix, as it is integrated. A component that moves less than this share of its
 size loses what it does to the round-off of all steps; that of some 400 of others comes to so many eps"""
+LONG = float(np.finfo(np.longdouble).eps)
 TAKEN = 10.0
 """Round-offs of the state that a period takes up: 1 to 5 beside a pendulum's saddle"""
 ROUND_OFF = 30.0
@@ -177,7 +178,12 @@ def distance(
     begun = np.linalg.norm(left.T @ columns[:, : size.size] * size, axis=1)
     rounded = SHAKEN * (precise * hidden + (EPSILON - precise) * begun)
     beyond = np.maximum(along - precise * excused, 0.0) + rounded
-    known = singular - MATRIX * (precise / EPSILON) * grown
+    lost = MATRIX * grown
+    if precise < EPSILON:  # pieces are in long double
+        sooner = accumulate(transitions, lambda done, piece: piece @ done, initial=np.eye(size.size))
+        ways = zip(sooner, reversed(later), strict=True)
+        lost = LONG * max(float(np.linalg.norm(after) * np.linalg.norm(before)) for before, after in ways)
+    known = singular - lost
     steps = np.divide(beyond, known, out=np.full(known.shape, np.inf), where=known > 0)
     return float(np.linalg.norm(steps)), float(np.linalg.norm(np.sort(steps)[:-1]))
 

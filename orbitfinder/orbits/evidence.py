@@ -37,7 +37,7 @@ from orbitfinder.integrate.dop853 import (
     integrate_in,
 )
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
-from orbitfinder.integrate.extended import ROUND_OFF, Extended, extended
+from orbitfinder.integrate.extended import QUADRUPLE, ROUND_OFF, Extended, extended
 from orbitfinder.integrate.field import VectorField, expect, rates_of, vector_field
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.loops.symmetry import Involution, Symmetry, involutions, off_centre, symplectic, with_mirrors
@@ -111,6 +111,8 @@ class Motion:
     """the gradients where `transitions` end; none where that is not told"""
     missed: np.ndarray | None = None
     """y at the end less y at the start, where both are known in long double or better, as `transitions` are then"""
+    precise: float = EPSILON
+    """relative error that its integration makes"""
 
     def reaching(self, path: np.ndarray) -> np.ndarray:
         """A path (k x m), as far as the motion goes."""
@@ -540,7 +542,7 @@ def _looped(model: Model, motion: Motion, units: np.ndarray, path: np.ndarray, p
     """The `Tour` of a motion of which a path (k x m) was looked at, in `units` (m)."""
     pieces, rate = in_extents(motion.transitions, units), None if model.forced else motion.rate * period / units
     ends = path[-1] - path[0] if motion.missed is None else motion.missed
-    missed, known = (ends - shift(motion.turns, units.size)) / units, EPSILON if motion.missed is None else ROUND_OFF
+    missed, known = (ends - shift(motion.turns, units.size)) / units, motion.precise
     if model.rates is not None and motion.rates is not None and (idle := still(path)).any():
         each = rates_of(motion.rates)[0](np.linspace(0.0, period, len(path)), path) / units
         missed = np.where(idle, trapezoid(each, dx=period / (len(path) - 1), axis=0), missed)
@@ -551,7 +553,8 @@ def _looped(model: Model, motion: Motion, units: np.ndarray, path: np.ndarray, p
         more = np.vstack([kept, _conserved(motion.rates, path, units, period)])
         closing = replace(closing, distance=closes(missed, pieces, path / units, rate, more, None, known).distance)
         if closing.distance > DOUBTFUL and rate is not None:
-            closing = replace(closing, distance=min(closing.distance, _symmetric(model, motion, units)))
+            with suppress(IntegrationError):  # in double precision
+                closing = replace(closing, distance=min(closing.distance, _symmetric(model, motion, units)))
     ended = None if motion.ended is None else motion.ended * units
     return Tour(closing, pieces, kept, motion.directions / units, symplectic(model), units, basis, ended=ended)
 
@@ -577,6 +580,7 @@ def _sharpened(model: Model, motion: Motion, units: np.ndarray, quadruple: bool)
     missed, path, end = (exact[-1] - exact[0]).astype(float), exact.astype(float), exact[-1].astype(float)
     return replace(
         motion, transitions=pieces, missed=missed, path=path, states=equations.states(path), action=action,
+        precise=QUADRUPLE if quadruple else ROUND_OFF,
         ended=equations.frame(equations.states(end[None])[0], end)[0],
     )  # fmt: skip
 
