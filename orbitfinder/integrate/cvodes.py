@@ -51,7 +51,12 @@ class IntegratorSettings:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_tolerances(self.relative_tolerance, self.absolute_tolerance, self.max_steps)
+        relative, absolute, steps = self.relative_tolerance, self.absolute_tolerance, self.max_steps
+        if not (0 < relative < 1 and 0 < absolute < np.inf and steps >= 1):
+            raise InputError(
+                "relative_tolerance, absolute_tolerance, max_steps: must be positive, the first below 1, got "
+                f"{relative}, {absolute} and {steps}; the defaults are near what double precision can do"
+            )
 
     def options(self) -> dict[str, Any]:
         """The same in CasADi's words."""
@@ -62,15 +67,6 @@ class IntegratorSettings:
             "linear_multistep_method": "adams",
             "nonlinear_solver_iteration": "functional",
         }
-
-
-def check_tolerances(relative: float, absolute: float, steps: int) -> None:
-    """`InputError` unless an integrator can work with these."""
-    if not (0 < relative < 1 and 0 < absolute < np.inf and steps >= 1):
-        raise InputError(
-            f"relative_tolerance, absolute_tolerance, max_steps: must be positive, the first below 1, got {relative}, "
-            f"{absolute} and {steps}; the defaults are near what double precision can do"
-        )
 
 
 @dataclass(frozen=True)
