@@ -212,9 +212,7 @@ def follow_tori(
             finished(lambda: tori(STOPPED))
             if progress:
                 progress(kept.record)
-    assert curve.end is not None
-    why = {"target": f"{asked} reached {until or 0.0:.12g}", "point limit": f"point limit of {chosen.points}"}
-    return tori(why.get(curve.end.kind) or _breaking([kept.record for kept in curve.points], asked, curve.end.reason))
+    return tori(_ended(curve, asked, until, chosen.points))
 
 
 def _model(origin: Orbit | Torus, model: Model | None) -> Model:
@@ -419,6 +417,13 @@ def _recorded(point: Point) -> Torus:
     return Torus(
         w.curve, w.period, float(w.angle / (2 * np.pi) % 1.0), energy, unresolved(measured), strip(measured), free
     )
+
+
+def _ended(curve: SolutionCurve, asked: str, until: float | None, most: int) -> str:
+    """Why a family ends, in words."""
+    assert curve.end is not None
+    kinds = {"target": f"{asked} reached {until or 0.0:.12g}", "point limit": f"point limit of {most}"}
+    return kinds.get(curve.end.kind) or _breaking([kept.record for kept in curve.points], asked, curve.end.reason)
 
 
 def _breaking(tori: list[Torus], asked: str, why: str) -> str:
