@@ -300,12 +300,7 @@ class Implicit:
         """A state (2n) and variations (2n x k) after a step, and the stages (s x n) that the next begins with."""
         limit.check()
         end, a = self._stepped(t, state, h, a, units)
-        if varied is not None:
-            n = self.residual.size
-            q = state[:n] + h * self.places[:, None] * state[n:] + h**2 * self.square @ a
-            slopes = self._slopes(t + h * self.places, q, state[n:] + h * self.inner @ a, a)
-            varied = self.linear.over(h, slopes, varied)
-        return end, varied, self._ahead @ a
+        return end, None if varied is None else self._varied(t, state, h, a, varied), self._ahead @ a
 
     def steps(self, state: np.ndarray, period: float) -> tuple[int, float]:
         """As many steps of a period as follow the fastest mode, of driven motions a power of two, and what they are off
@@ -338,6 +333,13 @@ class Implicit:
         """What takes stages of a step to the polynomial's values at those of the next."""
         powers = self.places[:, None] ** np.arange(STAGES)
         return (1 + self.places)[:, None] ** np.arange(STAGES) @ np.linalg.inv(powers)
+
+    def _varied(self, t: float, state: np.ndarray, h: float, a: np.ndarray, whole: np.ndarray) -> np.ndarray:
+        """A matrix (2n x k) of variations carried over a step with stages a."""
+        n = self.residual.size
+        q = state[:n] + h * self.places[:, None] * state[n:] + h**2 * self.square @ a
+        slopes = self._slopes(t + h * self.places, q, state[n:] + h * self.inner @ a, a)
+        return self.linear.over(h, slopes, whole)
 
 
 def suits(model: Model, known: int) -> bool:
