@@ -111,7 +111,13 @@ def attempts(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike)
     """
     began, made, numbers = time.process_time(), list[Attempt](), list(np.reshape(known, (-1, 3)))
     courses = abreast([course(context, seed, job) for job in jobs])
-    orbits, shared = _orbits(jobs, courses, numbers), (time.process_time() - began) / max(1, len(jobs))
+    seen, wanted = list(numbers), dict[int, Course[tuple[Orbit, Model]]]()  # that nobody seems to know yet
+    for k, (job, outcome) in enumerate(zip(jobs, courses, strict=True)):
+        if not isinstance(outcome, Exception) and (job.certain or not among(seen, outcome[1].numbers)):
+            wanted[k] = outcome[2]()
+            seen.append(np.array(outcome[1].numbers))
+    orbits = dict(zip(wanted, abreast(list(wanted.values())), strict=True))
+    shared = (time.process_time() - began) / max(1, len(jobs))
     for k, (job, outcome) in enumerate(zip(jobs, courses, strict=True)):
         began = time.process_time()
         name = strategy_of(context, job.number) if job.source is None else CONTINUATION
@@ -129,18 +135,6 @@ def attempts(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike)
             numbers.append(np.array(trial.signature.numbers))
         made.append(replace(trial, seconds=shared + time.process_time() - began))
     return made
-
-
-def _orbits(
-    jobs: Sequence[Job], courses: Sequence[Found | Exception], known: Sequence[np.ndarray]
-) -> dict[int, tuple[Orbit, Model] | Exception]:
-    """The Orbits, by the places of their jobs, that nobody seems to know yet, measured side by side."""
-    numbers, wanted = list(known), dict[int, Course[tuple[Orbit, Model]]]()
-    for k, (job, outcome) in enumerate(zip(jobs, courses, strict=True)):
-        if not isinstance(outcome, Exception) and (job.certain or not among(numbers, outcome[1].numbers)):
-            wanted[k] = outcome[2]()
-            numbers.append(np.array(outcome[1].numbers))
-    return dict(zip(wanted, abreast(list(wanted.values())), strict=True))
 
 
 def continuation(context: Context, index: int, source: Table) -> SearchStart:

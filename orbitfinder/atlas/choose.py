@@ -100,7 +100,12 @@ def least_unstable(
             f"the chosen orbit (period {best.period:.9g} s) was left for another ({orbit.period:.9g} s) when it was "
             "refined; use another seed"
         )
-    return replace(orbit, provenance={**orbit.provenance, "choice": _record(known, starts, seed)})
+    radii = [candidate.rank[0] for candidate in known]
+    choice = {
+        "starts": starts, "seed": seed, "orbits": len(known), "spectral_radius": radii[0],
+        "runner_up": radii[1] if len(radii) > 1 else None, "times_found": known[0].found,
+    }  # fmt: skip
+    return replace(orbit, provenance={**orbit.provenance, "choice": choice})
 
 
 def check(problem: Problem) -> None:
@@ -149,11 +154,3 @@ def _add(known: list[Candidate], signature: Signature, orbit: Orbit | None) -> N
             return
     if orbit is not None:
         known.append(Candidate(orbit, signature, 1, rank(orbit)))
-
-
-def _record(known: list[Candidate], starts: int, seed: int) -> dict[str, object]:
-    radii = [candidate.rank[0] for candidate in known]
-    return {
-        "starts": starts, "seed": seed, "orbits": len(known), "spectral_radius": radii[0],
-        "runner_up": radii[1] if len(radii) > 1 else None, "times_found": known[0].found,
-    }  # fmt: skip

@@ -129,7 +129,15 @@ def merge_atlases(
                     _joined(out, [book, held] if mark else [held])
                     if mark:
                         out.connection.execute("INSERT OR IGNORE INTO about VALUES (?, ?)", [mark, book.path.name])
-        return _summary(out)
+        rows = out.select(
+            [float, float, float, int, int, int],
+            "SELECT energy, shortest, longest, seed, count(number), coalesce(max(number) + 1 - count(number), 0) "
+            "FROM searches LEFT JOIN starts ON starts.search = searches.id GROUP BY searches.id ORDER BY searches.id",
+        )
+        joined = tuple(
+            Joined(energy, (low, high), seed, made, missing) for energy, low, high, seed, made, missing in rows
+        )
+        return Merged(out.path, len(out), sum(search.starts for search in joined), joined)
 
 
 def _joined(out: Atlas, books: Sequence[Atlas]) -> None:
@@ -248,13 +256,3 @@ WHERE (excluded.outcome, excluded.strategy, excluded.reason, coalesce(excluded.o
     < (outcome, strategy, reason, coalesce(orbit, 0), seconds)
 """
 """The least of all records of a start, whichever comes first; `duplicate` is before `failed`."""
-
-
-def _summary(out: Atlas) -> Merged:
-    rows = out.select(
-        [float, float, float, int, int, int],
-        "SELECT energy, shortest, longest, seed, count(number), coalesce(max(number) + 1 - count(number), 0) "
-        "FROM searches LEFT JOIN starts ON starts.search = searches.id GROUP BY searches.id ORDER BY searches.id",
-    )
-    joined = tuple(Joined(energy, (low, high), seed, made, missing) for energy, low, high, seed, made, missing in rows)
-    return Merged(out.path, len(out), sum(search.starts for search in joined), joined)

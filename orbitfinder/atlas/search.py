@@ -368,7 +368,16 @@ def search(
     part, asked = shard_from(shard), statement(model) if isinstance(model, Problem) else {}
     model = model.model if isinstance(model, Problem) else model
     shells = levels(model, energies, bool(asked))
-    check_request(shells, starts, budget, seed, workers)
+    if not shells:
+        raise InputError("energy: missing; give at least one, in J")
+    if starts is not None and starts < 0:
+        raise InputError(f"starts: must not be negative, got {starts}; give a number of starts")
+    if budget is not None and not 0 < budget < np.inf:
+        raise InputError(f"budget: must be positive and finite, got {budget}; give it in s")
+    if not 0 <= seed < 2**63:
+        raise InputError(f"seed: must be between 0 and 2^63 - 1, got {seed}; give a whole number")
+    if not 0 <= workers <= 256:
+        raise InputError(f"workers: must be between 0 and 256, got {workers}; 0 searches in this process")
     budget = DEFAULT_BUDGET if starts is None and budget is None else budget
     points = list(itertools.product(shells, grid(model, parameters or {})))
     points = points if part is None else sorted(points, key=lambda point: (point[0], as_words(point[1])))
@@ -445,17 +454,3 @@ def employed(
     if executor is not None:
         return Pool(request, executor, workers)
     return LocalWorkers(request, workers) if scheduler is None else Cluster(request, scheduler)
-
-
-def check_request(shells: Sequence[float], starts: int | None, budget: float | None, seed: int, workers: int) -> None:
-    """`InputError` for limits that mean nothing."""
-    if not shells:
-        raise InputError("energy: missing; give at least one, in J")
-    if starts is not None and starts < 0:
-        raise InputError(f"starts: must not be negative, got {starts}; give a number of starts")
-    if budget is not None and not 0 < budget < np.inf:
-        raise InputError(f"budget: must be positive and finite, got {budget}; give it in s")
-    if not 0 <= seed < 2**63:
-        raise InputError(f"seed: must be between 0 and 2^63 - 1, got {seed}; give a whole number")
-    if not 0 <= workers <= 256:
-        raise InputError(f"workers: must be between 0 and 256, got {workers}; 0 searches in this process")

@@ -114,7 +114,18 @@ def signature_of(orbit: Orbit, model: Model) -> Signature:
     """The signature of an orbit over its minimal period; integrated again when it carries no samples."""
     given = shown(orbit, model)
     if not model.smooth:
-        return _of_arcs(orbit, as_recorded(model, orbit.system), given)
+        model = as_recorded(model, orbit.system)
+        pieces = course(model, *(given or sampled(model, orbit.state, orbit.period))).pieces
+        moments, n = np.linspace(0.0, 1.0, ARC_SAMPLES), model.degrees_of_freedom
+        loop = [between(each.times, each.states, n, each.times[0] + moments * np.ptp(each.times)) for each in pieces]
+        return Signature(
+            energy=orbit.energy if model.invariants and orbit.control is None else 0.0,
+            period=orbit.period,
+            action=abs(orbit.action),
+            loop=np.vstack(loop),
+            angles=tuple(map(bool, model.angular)),
+            arcs=len(pieces),
+        )
     times, samples = given or dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
     return Signature(
         energy=0.0 if model.forced or orbit.control else level(orbit.energy) if unconserved(orbit) else orbit.energy,
@@ -122,22 +133,6 @@ def signature_of(orbit: Orbit, model: Model) -> Signature:
         action=abs(orbit.action),
         loop=resampled(times, samples, model.degrees_of_freedom),
         angles=tuple(map(bool, model.angular)),
-    )
-
-
-def _of_arcs(orbit: Orbit, model: Model, given: tuple[np.ndarray, np.ndarray] | None) -> Signature:
-    """The signature of a hybrid orbit, from event to event."""
-    times, samples = given or sampled(model, orbit.state, orbit.period)
-    pieces, moments = course(model, times, samples).pieces, np.linspace(0.0, 1.0, ARC_SAMPLES)
-    loop = [between(piece.times, piece.states, model.degrees_of_freedom, piece.times[0] + moments * np.ptp(piece.times))
-            for piece in pieces]  # fmt: skip
-    return Signature(
-        energy=orbit.energy if model.invariants and orbit.control is None else 0.0,
-        period=orbit.period,
-        action=abs(orbit.action),
-        loop=np.vstack(loop),
-        angles=tuple(map(bool, model.angular)),
-        arcs=len(pieces),
     )
 
 
@@ -228,21 +223,15 @@ def _aligned(first: Signature, loops: Sequence[np.ndarray], scale: np.ndarray) -
     nearest, grid = np.argsort(gaps, axis=1)[:, :3], np.arange(count) * first.period / count
     paths = [lru_cache(maxsize=1)(partial(_path, image, first.period, n, first.angles)) for image in loops]
     for which, rank in np.argwhere(nearest >= 0)[np.argsort(np.take_along_axis(gaps, nearest, axis=1), axis=None)]:
-        path = paths[which]()
-        moved = path(grid + _phase(first, path, float(grid[nearest[which, rank]]), scale))
+        path, moment, apart = paths[which](), float(grid[nearest[which, rank]]), first.period / count / 4
+        for _ in range(4):
+            before, here, after = path(np.array([moment - apart, moment, moment + apart]))
+            chord = wrapped(after - before, first.angles) / scale / 2
+            gap = wrapped(first.loop[0] - here, first.angles) / scale
+            step = float(chord @ gap / nonzero(chord @ chord))
+            moment += apart * float(np.clip(step, -4.0, 4.0))
+        moved = path(grid + moment)
         yield float(np.abs(wrapped(moved - first.loop, first.angles) / scale).max())
-
-
-def _phase(first: Signature, path: Callable[[np.ndarray], np.ndarray], moment: float, scale: np.ndarray) -> float:
-    """The time (s) near a moment at which a path is nearest to the loop's first state."""
-    apart = first.period / len(first.loop) / 4
-    for _ in range(4):
-        before, here, after = path(np.array([moment - apart, moment, moment + apart]))
-        chord = wrapped(after - before, first.angles) / scale / 2
-        gap = wrapped(first.loop[0] - here, first.angles) / scale
-        step = float(chord @ gap / nonzero(chord @ chord))
-        moment += apart * float(np.clip(step, -4.0, 4.0))
-    return moment
 
 
 def _path(loop: np.ndarray, period: float, n: int, angles: Sequence[bool]) -> Callable[[np.ndarray], np.ndarray]:

@@ -209,13 +209,12 @@ class Differentiated(Ask):
                 derived = march.derivatives(w.nodes[None], own, w.mesh[None, :: w.steps], w.tail[None])
                 ends, transitions, columns = (rows[0] for rows in derived)
                 path = Varied(ends, transitions, columns, w.nodes, 0.0)
-                known = np.isfinite(own).all()
-                answers[k] = asks[k]._scaled(w, path) if known else IntegrationError(LOST, state=w.nodes[0])
+                loop, measures = asks[k].scaled.loop, asks[k].scaled.measures
+                answers[k] = (
+                    (loop.rows(w, path.ends) / measures.rows, measures.matrix(loop.linearised(w, path).matrix()))
+                    if np.isfinite(own).all() else IntegrationError(LOST, state=w.nodes[0])
+                )  # fmt: skip
         return [answers[k] for k in range(len(asks))]
-
-    def _scaled(self, w: Unknowns, path: Varied) -> tuple[np.ndarray, np.ndarray]:
-        loop, measures = self.scaled.loop, self.scaled.measures
-        return loop.rows(w, path.ends) / measures.rows, measures.matrix(loop.linearised(w, path).matrix())
 
 
 def moved(scaled: ScaledLoop, w: Unknowns, step: np.ndarray) -> Unknowns:

@@ -204,7 +204,17 @@ def disturbed(controller: Controller, model: Model, sizes: np.ndarray, seed: int
     places = random.uniform(0.0, controller.period, sizes.size)
     directions = random.normal(size=(sizes.size, controller.units.size))
     if not model.smooth:
-        return _above(controller, model, sizes, places, directions, random)
+        law, watch = law_of(controller), _Watch(model, controller.actuators, controller)
+        for _ in range(1000):  # drawn again where it is beyond the guard of an event that has not come yet
+            lengths = np.linalg.norm(directions, axis=1, keepdims=True)
+            on = law.at(places)
+            pushed = on[:, : law.size] + sizes[:, None] * directions / lengths * controller.units
+            beyond = watch.crossed(pushed, on[:, law.size : law.size + law.controls], sizes > 0).any(axis=1)
+            if not beyond.any():
+                break
+            places[beyond] = random.uniform(0.0, controller.period, int(beyond.sum()))
+            directions[beyond] = random.normal(size=(int(beyond.sum()), law.size))
+        return pushed, places
     on = law_of(controller).at(places)[:, : controller.units.size]
     if model.constraint is not None:
         level = constraint_rows(model)
@@ -214,24 +224,6 @@ def disturbed(controller: Controller, model: Model, sizes: np.ndarray, seed: int
     pushed = on + sizes[:, None] * directions * controller.units
     if model.constraint is not None:
         pushed = np.array([_assembled(model, x) for x in pushed])
-    return pushed, places
-
-
-def _above(
-    controller: Controller, model: Model, sizes: np.ndarray, places: np.ndarray, directions: np.ndarray,
-    random: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Pushed states and their places, drawn again where they are beyond the guard of an event that has not come yet."""
-    law, watch = law_of(controller), _Watch(model, controller.actuators, controller)
-    for _ in range(1000):
-        lengths = np.linalg.norm(directions, axis=1, keepdims=True)
-        on = law.at(places)
-        pushed = on[:, : law.size] + sizes[:, None] * directions / lengths * controller.units
-        beyond = watch.crossed(pushed, on[:, law.size : law.size + law.controls], sizes > 0).any(axis=1)
-        if not beyond.any():
-            break
-        places[beyond] = random.uniform(0.0, controller.period, int(beyond.sum()))
-        directions[beyond] = random.normal(size=(int(beyond.sum()), law.size))
     return pushed, places
 
 

@@ -120,7 +120,13 @@ def stabilise(
     given = dict.fromkeys(chosen, limits) if isinstance(limits, (int, float)) else limits or {}
     bounds = {name: driven.limits[name] for name in chosen if name in driven.limits} | checked_limits(given, chosen)
     weights = _weight("Q", Q, trial.units.size), _weight("R", R, len(chosen))
-    made = replace(_designed(orbit, driven, chosen, trial, weights), limits=bounds, authority=powers)
+    count = LEAST_NODES
+    while True:  # so many nodes that a spline through half of them meets the others
+        made = _regulated(orbit, reference_of(orbit, driven, chosen, trial.clock, count, trial), *weights)
+        if _interpolates(made) or 2 * count > 4096:
+            break
+        count *= 2
+    made = replace(made, limits=bounds, authority=powers)
     for name, (low, high) in bounds.items():
         own = made.inputs[:, made.actuators.index(name)]
         if np.any((own <= low) | (own >= high)):
@@ -232,19 +238,6 @@ def _weight(name: str, given: Weight, size: int) -> np.ndarray:
             f"{name}: must be a number, {size} numbers or a {size} x {size} matrix, {wanted}; got {given!r}"
         )
     return np.asarray((matrix + matrix.T) / 2)
-
-
-def _designed(
-    orbit: Orbit, model: Model, names: Sequence[str], trial: Reference, weights: tuple[np.ndarray, np.ndarray]
-) -> Controller:
-    """The regulator's gains at so many nodes that a spline through half of them meets the others."""
-    count = LEAST_NODES
-    while True:
-        reference = reference_of(orbit, model, names, trial.clock, count, trial)
-        controller = _regulated(orbit, reference, *weights)
-        if _interpolates(controller) or 2 * count > 4096:
-            return controller
-        count *= 2
 
 
 def _regulated(orbit: Orbit, reference: Reference, weight: np.ndarray, ease: np.ndarray) -> Controller:

@@ -233,7 +233,7 @@ class Automaton:
         crossings: list[tuple[float, np.ndarray, int]] = []
         for k, transition in enumerate(leaving):
             for before, after in guards[k].seen(looks, within, dense):
-                moment = self._located(guards[k].height, before, after, dense)
+                moment = _root(lambda t: guards[k].height(dense(t)), before, after)  # noqa: B023 - of this round
                 moment, state = self._polished(transition, field, begin, moment)
                 if self._counts(transition, state):
                     crossings.append((moment, state, k))
@@ -256,9 +256,6 @@ class Automaton:
         value = float(self.value(transition.allowed, x)[0])
         self._asked.append((transition, abs(value)))
         return value > 0
-
-    def _located(self, height: Height, before: float, after: float, dense: Callable[[float], np.ndarray]) -> float:
-        return _root(lambda moment: height(dense(moment)), before, after)
 
     def _polished(
         self, transition: Transition, field: VectorField, begin: tuple[float, np.ndarray], moment: float
@@ -315,18 +312,16 @@ class Automaton:
     ) -> Arc:  # fmt: skip
         end = states[-1]
         slope = self.rate(transition, end) * transition.direction
+        # how far from their change of mind the answers were on which crossings count
+        sizes = {each.name: max(abs(float(self.value(each.allowed, x)[0])) for x in states) for each, _ in self._asked}
+        decided = min((value / nonzero(sizes[each.name]) for each, value in self._asked), default=np.inf)
         impulse, lost = (
             None if f is None else float(self.value(f, end)[0]) for f in (transition.impulse, transition.lost)
         )
         return Arc(
             mode, start + times, states, transition.name, self.value(transition.reset, end),
-            slope * times[-1] / nonzero(span), margins, impulse, lost, self._decided(states),
+            slope * times[-1] / nonzero(span), margins, impulse, lost, decided,
         )  # fmt: skip
-
-    def _decided(self, states: np.ndarray) -> float:
-        """How far from their change of mind the answers were on which crossings count."""
-        sizes = {each.name: max(abs(float(self.value(each.allowed, x)[0])) for x in states) for each, _ in self._asked}
-        return min((value / nonzero(sizes[transition.name]) for transition, value in self._asked), default=np.inf)
 
 
 Seen = tuple[float, float, float]

@@ -51,7 +51,12 @@ class IntegratorSettings:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_tolerances(self.relative_tolerance, self.absolute_tolerance, self.max_steps)
+        relative, absolute, steps = self.relative_tolerance, self.absolute_tolerance, self.max_steps
+        if not (0 < relative < 1 and 0 < absolute < np.inf and steps >= 1):
+            raise InputError(
+                "relative_tolerance, absolute_tolerance, max_steps: must be positive, the first below 1, got "
+                f"{relative}, {absolute} and {steps}; the defaults are near what double precision can do"
+            )
 
     def options(self) -> dict[str, Any]:
         """The same in CasADi's words."""
@@ -62,15 +67,6 @@ class IntegratorSettings:
             "linear_multistep_method": "adams",
             "nonlinear_solver_iteration": "functional",
         }
-
-
-def check_tolerances(relative: float, absolute: float, steps: int) -> None:
-    """`InputError` unless an integrator can work with these."""
-    if not (0 < relative < 1 and 0 < absolute < np.inf and steps >= 1):
-        raise InputError(
-            f"relative_tolerance, absolute_tolerance, max_steps: must be positive, the first below 1, got {relative}, "
-            f"{absolute} and {steps}; the defaults are near what double precision can do"
-        )
 
 
 @dataclass(frozen=True)
@@ -95,9 +91,19 @@ class Flow:
 
     @cached_property
     def derivatives(self) -> ca.Function:
-        """The variational integrator; built when first asked for, since it is large for long chains."""
+        """The variational integrator; built when first asked for, since it is large for long chains.
+
+        Its right-hand side is compiled where the work to be expected pays for it.
+        """
         names, inputs = self.inputs()
-        outputs = _variational(self.field, self.settings, inputs, self.units)
+        field, units = _in_units(self.field, self.units), self.units
+        size, extra, varied = field.size1_in(1), field.size1_in(2) + field.size1_in(3), variational_field(field)
+        sizes = ca.DM(units) if units else ca.DM.ones(size)
+        varied = with_derivatives(varied, effort=interpreted_seconds(varied, EVALUATIONS))
+        start = ca.vertcat(inputs[1] / sizes, ca.vec(ca.MX(ca.DM.eye(size))), ca.MX(ca.DM.zeros(size * extra)))
+        end = _solved("variational", varied, ca.MX.sym, self.settings.options(), [inputs[0], start, *inputs[2:]])
+        columns = ca.DM(np.outer(sizes.full().ravel(), np.append(1 / sizes.full().ravel(), np.ones(extra))))
+        outputs = [sizes * end[:size], columns * ca.reshape(end[size:], size, size + extra)]
         return ca.Function("flow_derivatives", inputs, outputs, names, ["xf", "sensitivity"])
 
     @cached_property
@@ -183,19 +189,6 @@ def _in_units(field: ca.Function, units: tuple[float, ...]) -> ca.Function:
     t, y, s, free = _arguments(field)
     sizes = ca.DM(units)
     return ca.Function("field", [t, y, s, free], [field(t, sizes * y, s, free) / sizes])
-
-
-def _variational(
-    field: ca.Function, settings: IntegratorSettings, inputs: list[ca.MX], units: tuple[float, ...] = ()
-) -> list[ca.MX]:
-    """End state and sensitivities; the right-hand side is compiled where the work to be expected pays for it."""
-    field, sizes = _in_units(field, units), ca.DM(units) if units else ca.DM.ones(field.size1_in(1))
-    size, extra, varied = field.size1_in(1), field.size1_in(2) + field.size1_in(3), variational_field(field)
-    varied = with_derivatives(varied, effort=interpreted_seconds(varied, EVALUATIONS))
-    start = ca.vertcat(inputs[1] / sizes, ca.vec(ca.MX(ca.DM.eye(size))), ca.MX(ca.DM.zeros(size * extra)))
-    end = _solved("variational", varied, ca.MX.sym, settings.options(), [inputs[0], start, *inputs[2:]])
-    columns = ca.DM(np.outer(sizes.full().ravel(), np.append(1 / sizes.full().ravel(), np.ones(extra))))
-    return [sizes * end[:size], columns * ca.reshape(end[size:], size, size + extra)]
 
 
 def custom_jacobian(
@@ -309,7 +302,10 @@ def transition_function(flow: Flow) -> ca.Function:
     t0, state, duration, s, free = inputs
     size, unfolded = state.numel(), s.numel()
     count = size + unfolded + free.numel()
-    end, columns, second = _second_integrated(flow, inputs, count)
+    rates, unit = _second_rates(flow.field, count), ca.vec(ca.horzcat(ca.MX.eye(size), ca.MX.zeros(size, count - size)))
+    start = ca.vertcat(state, ca.densify(unit), ca.MX.zeros(size**2 * count))
+    reached = _solved("second_order", rates, symbol_of(rates), flow.settings.options(), [t0, start, *inputs[2:]])
+    end, columns, second = _parts(reached, size, count)
     arguments = _arguments(flow.field)
     slope = ca.Function("slope", arguments, [ca.densify(ca.jacobian(flow.field(*arguments), arguments[1]))])
     matrix = columns[:, :size]
@@ -357,12 +353,3 @@ def _parts(whole: Any, size: int, count: int) -> tuple[Any, Any, Any]:
     """x, dx/da and dvec(Phi)/da from one column."""
     blocks = ca.vertsplit(whole, [0, size, size * (1 + count), whole.numel()])
     return blocks[0], ca.reshape(blocks[1], size, count), ca.reshape(blocks[2], size**2, count)
-
-
-def _second_integrated(flow: Flow, inputs: list[ca.MX], count: int) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """x, dx/da and dvec(Phi)/da at the end of a segment."""
-    size, rates = inputs[1].numel(), _second_rates(flow.field, count)
-    unit = ca.vec(ca.horzcat(ca.MX.eye(size), ca.MX.zeros(size, count - size)))
-    start = ca.vertcat(inputs[1], ca.densify(unit), ca.MX.zeros(size**2 * count))
-    given = [inputs[0], start, *inputs[2:]]
-    return _parts(_solved("second_order", rates, symbol_of(rates), flow.settings.options(), given), size, count)

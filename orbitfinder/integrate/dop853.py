@@ -61,9 +61,13 @@ class Trace:
         """States at times from the first moment to the last, each by a step of DOP853 from that before."""
         times = np.asarray(times, float)
         before = np.searchsorted(self.moments, times, side="right") - 1
-        given = self.moments[before], self.states[before], times - self.moments[before]
-        ends = None if self.field is None else self.field.stepped(*given)
-        return _stage_by_stage(self.rates, *given) if ends is None else ends
+        starts, states, spans = self.moments[before], self.states[before], times - self.moments[before]
+        if self.field is not None and (ends := self.field.stepped(starts, states, spans)) is not None:
+            return ends
+        across, stages = spans[:, None], [self.rates(starts, states)]  # summed in the order of `dop853.c`
+        for share, row in zip(DOP853.C[1:], DOP853.A[1:], strict=True):
+            stages.append(self.rates(starts + share * spans, states + across * _weighted(row, stages)))
+        return np.asarray(states + across * _weighted(DOP853.B, stages))
 
     def strayed(self, slopes: np.ndarray, step: np.ndarray, moments: np.ndarray) -> np.ndarray | None:
         """How far rates at moments (m), each within a `step`, are off the curve through the states and these slopes
@@ -228,16 +232,6 @@ def _root(error: BaseException) -> BaseException:
     while isinstance(error, (ValueError, SystemError)) and error.__cause__ is not None:
         error = error.__cause__
     return error
-
-
-def _stage_by_stage(
-    rates: Callable[[np.ndarray, np.ndarray], np.ndarray], times: np.ndarray, states: np.ndarray, spans: np.ndarray
-) -> np.ndarray:
-    """Where a step leads from states (k x n) at times (k) by spans (k), summed in the order of `dop853.c`."""
-    across, stages = spans[:, None], [rates(times, states)]
-    for share, row in zip(DOP853.C[1:], DOP853.A[1:], strict=True):
-        stages.append(rates(times + share * spans, states + across * _weighted(row, stages)))
-    return np.asarray(states + across * _weighted(DOP853.B, stages))
 
 
 def _weighted(row: np.ndarray, stages: list[np.ndarray]) -> Any:

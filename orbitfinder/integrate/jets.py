@@ -162,15 +162,14 @@ def at_rest(model: Model, free: tuple[str, ...], state: np.ndarray) -> Jets:
 def canonical_rates(model: Model, parameters: tuple[str, ...], beside: int) -> tuple[Buffered, Buffered, np.ndarray]:
     """Hamilton's equations along parameters: (x, value) -> y = (q, momentum) and its slopes in x; y and `beside` y for
     each of its components -> the rates of all; which components of a state x are. Of first order, y is the state."""
-    key = Same(model), parameters, beside, get_ident()
-    return _canonical(key, lambda: _canonical_rates(model, parameters, beside))
 
+    def made() -> tuple[Buffered, Buffered, np.ndarray]:
+        known = hamilton(model, parameters)
+        chosen, k = known.coordinates.chosen, known.coordinates.size
+        x, y, p = map(ca.MX.sym, "xyp", (chosen.size, chosen.size, len(parameters)))
+        canonical = [ca.vertcat(x[:k], known.momentum(x[:k], x[k:], p)), known.lift(x[:k], x[k:], p)]
+        there = Buffered(ca.Function("there", [x, p], [ca.densify(part) for part in canonical]))
+        rates = ca.Function("rates", [y, p], [ca.densify(known.field(0.0, y, p))])
+        return there, Buffered(rates.map(beside * chosen.size + 1)), chosen
 
-def _canonical_rates(model: Model, parameters: tuple[str, ...], beside: int) -> tuple[Buffered, Buffered, np.ndarray]:
-    known = hamilton(model, parameters)
-    chosen, k = known.coordinates.chosen, known.coordinates.size
-    x, y, p = map(ca.MX.sym, "xyp", (chosen.size, chosen.size, len(parameters)))
-    canonical = [ca.vertcat(x[:k], known.momentum(x[:k], x[k:], p)), known.lift(x[:k], x[k:], p)]
-    there = Buffered(ca.Function("there", [x, p], [ca.densify(part) for part in canonical]))
-    rates = ca.Function("rates", [y, p], [ca.densify(known.field(0.0, y, p))])
-    return there, Buffered(rates.map(beside * chosen.size + 1)), chosen
+    return _canonical((Same(model), parameters, beside, get_ident()), made)

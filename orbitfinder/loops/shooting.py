@@ -113,7 +113,10 @@ def transcribe(problem: Problem, nodes: np.ndarray | Unknowns, flow: Flow | None
     lost, hidden = np.zeros(equalities.numel()), loop.lost(guess)  # the user's constraints come after the loop's rows
     lost[: hidden.size] = hidden
     if not even:
-        sizes = _sizes(equalities, (w, given), start, guess, units)
+        by_ends = ca.jacobian(equalities, given) @ ca.diag(ca.DM(units[: guess.nodes.size]))
+        slopes = ca.Function("slopes", [w, given], [ca.horzcat(ca.jacobian(equalities, w), by_ends)])
+        sizes = np.abs(slopes(start, np.roll(guess.nodes, -1, axis=0).T).full()).max(axis=1)
+        sizes = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
     else:
         sizes = np.ones(lost.size)
         steepest = np.abs(loop.slopes(guess, loop.conditions)).max(axis=1)  # of a large mass by over 256
@@ -178,18 +181,6 @@ def _times(parts: tuple[list[ca.MX], list[ca.MX]], units: np.ndarray) -> tuple[l
     ends = np.cumsum([0, *(part.numel() for part in [*nodes, *tail])])
     scaled = [part * ca.DM(units[ends[k] : ends[k + 1]]) for k, part in enumerate([*nodes, *tail])]
     return scaled[: len(nodes)], scaled[len(nodes) :]
-
-
-def _sizes(
-    rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, units: np.ndarray
-) -> np.ndarray:
-    """What a unit of the unknowns changes in each row at the start, which rows are measured in."""
-    w, ends = inputs
-    sizes = ca.DM(units[: guess.nodes.size])
-    both = ca.horzcat(ca.jacobian(rows, w), ca.jacobian(rows, ends) @ ca.diag(sizes))
-    slopes = ca.Function("slopes", [w, ends], [both])
-    size = np.abs(slopes(start, np.roll(guess.nodes, -1, axis=0).T).full()).max(axis=1)
-    return np.where(np.isfinite(size) & (size > 0), size, 1.0)
 
 
 def spans(equations: Equations, flow: Flow, nodes: Sequence[Any], tail: Sequence[Any]) -> list[tuple[Flow, list[Any]]]:

@@ -269,13 +269,6 @@ class Symmetry:
         moved = self.displaced(constant)[1][:n] - 2 * np.pi * self.turns(constant)
         return np.asarray(np.linalg.lstsq(np.reshape(self.relative, (-1, n)).T, moved, rcond=None)[0])
 
-    def implied(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """The constants (2n) that coordinates at start and end have themselves, rates' ones 0: for drawing."""
-        n = self.coordinates(start.size)
-        first, last = self.rows(n)
-        rates = np.any((np.abs(first) + np.abs(last))[:, n:] > 0, axis=1)
-        return np.where(rates, 0.0, first @ start + last @ end)
-
     def displaced(self, constant: np.ndarray) -> Affine:
         """(S, d) of the map that takes x(0) to the state half a period on, or a whole one without symmetry."""
         n = self.coordinates(constant.size)
@@ -320,8 +313,12 @@ class Symmetry:
 
         Without the rows' constants the states' own are taken.
         """
-        given = self.implied(states[0], states[-1]) if constant is None else constant
-        constant = self.settled(given, states[0], states[-1])
+        if constant is None:  # those of rates are 0
+            n = self.coordinates(states.shape[1])
+            first, last = self.rows(n)
+            rates = np.any((np.abs(first) + np.abs(last))[:, n:] > 0, axis=1)
+            constant = np.where(rates, 0.0, first @ states[0] + last @ states[-1])
+        constant = self.settled(constant, states[0], states[-1])
         if self.reverses:
             _, (last, moved) = self.about(constant)
             times = np.concatenate([times, 2 * times[-1] - times[-2::-1]])

@@ -353,7 +353,10 @@ def acting(rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray) -> Act
             paces = np.abs(now).max(axis=0) / nonzero(np.ptp(few, axis=0))
             asked &= paces <= paces[~small].max(initial=0.0) / STILL
         while True:
-            more = _felt(rates, few, now, asked & idle, ~idle)
+            more = np.zeros(small.size, bool)  # whose halves change the rates of those that are moving
+            for k in np.flatnonzero(asked & idle):
+                half = few * np.where(np.arange(small.size) == k, 0.5, 1.0)
+                more[k] = bool(((np.abs(rates(half) - now).max(axis=0) > most) & ~idle).any())
             if not more.any():  # who is felt is no constant of the others
                 offset = 2 * rates(np.where(idle, few / 2, few)) - now
                 noise = 2 * rates(np.where(idle, jolted / 2, jolted)) - rates(jolted) - offset
@@ -364,21 +367,6 @@ def acting(rates: Callable[[np.ndarray], np.ndarray], states: np.ndarray) -> Act
             idle &= ~more
 
     return acts
-
-
-def _felt(
-    rates: Callable[[np.ndarray], np.ndarray],
-    states: np.ndarray,
-    now: np.ndarray,
-    asked: np.ndarray,
-    moving: np.ndarray,
-) -> np.ndarray:  # fmt: skip
-    """Whose halves (a mask d) change the rates `now` (k x d) of those that are moving."""
-    felt, most = np.zeros(asked.size, bool), FELT * np.abs(now).max(axis=0)
-    for k in np.flatnonzero(asked):
-        half = states * np.where(np.arange(asked.size) == k, 0.5, 1.0)
-        felt[k] = bool(((np.abs(rates(half) - now).max(axis=0) > most) & moving).any())
-    return felt
 
 
 def parameter_sizes(model: Model, names: Sequence[str], values: np.ndarray, least: float = 1e-3) -> np.ndarray:

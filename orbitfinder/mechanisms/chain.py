@@ -171,12 +171,13 @@ def chain_energies(symbols: ChainSymbols) -> tuple[ca.SX, ca.SX]:
     return kinetic, potential
 
 
-def chain_invariants(symbols: ChainSymbols, kinetic: ca.SX, potential: ca.SX) -> list[Invariant]:
-    """Energy; without gravity also the angular momentum about the fixed joint, sum_i dT/dthetadot_i."""
+def chain_model(symbols: ChainSymbols, system: Entries, acceleration: ca.Function) -> Model:
+    """A chain's Model around accelerations a(t, q, v, p), whichever way they were derived."""
     q, v, p = symbols.coordinates, symbols.velocities, symbols.parameters
-    invariants = [energy_invariant(kinetic, potential, q, v, p)]
-    if symbols.parameter_values[-1] == 0.0:
-        turn = ca.SX.ones(q.numel())
+    kinetic, potential = chain_energies(symbols)
+    joints, centres, _ = geometry(symbols)
+    turn, invariants = ca.SX.ones(q.numel()), [energy_invariant(kinetic, potential, q, v, p)]
+    if symbols.parameter_values[-1] == 0.0:  # without gravity sum_i dT/dthetadot_i too, about the fixed joint
         invariants.append(
             Invariant(
                 "angular_momentum",
@@ -185,20 +186,12 @@ def chain_invariants(symbols: ChainSymbols, kinetic: ca.SX, potential: ca.SX) ->
                 ca.Function("rotation", [q, v, p], [ca.vertcat(turn, ca.SX.zeros(q.numel()))]),
             )
         )
-    return invariants
-
-
-def chain_model(symbols: ChainSymbols, system: Entries, acceleration: ca.Function) -> Model:
-    """A chain's Model around accelerations a(t, q, v, p), whichever way they were derived."""
-    q, p = symbols.coordinates, symbols.parameters
-    kinetic, potential = chain_energies(symbols)
-    joints, centres, _ = geometry(symbols)
     return mechanical_model(
         acceleration,
         Terms(kinetic, potential, actuation=ca.vertcat(*symbols.torques) if symbols.torques else None),
         symbols,
         [f"theta{i + 1}" for i in range(len(symbols.links))],
-        invariants=chain_invariants(symbols, kinetic, potential),
+        invariants=invariants,
         system=system,
         angles=(True,) * len(symbols.links),
         points=ca.Function("points", [q, p], [joints]),

@@ -17,10 +17,10 @@ def driven_oscillator(
     """mass x'' + damping x' + stiffness x + cubic x^3 = force: a mass on a spring that hardens (cubic > 0) or softens,
     pushed by the control `force` (N)."""
     made = ingredients(1, locals(), ("mass",), controls=("force",))
-    push = made["force"] - made["damping"] * made.v
-    stored = made["stiffness"] * made.q**2 / 2 + made["cubic"] * made.q**4 / 4
+    push = made.force - made.damping * made.v
+    stored = made.stiffness * made.q**2 / 2 + made.cubic * made.q**4 / 4
     return made.model(
-        "driven_oscillator", made["mass"] * made.v**2 / 2, stored, forces=push, names=["x"],
+        "driven_oscillator", made.mass * made.v**2 / 2, stored, forces=push, names=["x"],
         points=ca.horzcat(ca.SX.zeros(2), ca.vertcat(0, made.q)), controls=["force"],
     )  # fmt: skip
 
@@ -31,7 +31,7 @@ def driven_cart_pole(cart: float = 1.0, mass: float = 0.3, length: float = 0.5, 
     kinetic, potential, places = hanging(made)
     return made.model(
         "driven_cart_pole", kinetic, potential, names=["y", "theta"],
-        angles=[False, True], forces=ca.vertcat(made["force"], 0), points=places,
+        angles=[False, True], forces=ca.vertcat(made.force, 0), points=places,
         controls=["force"],
     )  # fmt: skip
 
@@ -44,11 +44,11 @@ def driven_swing(
     """
     made = ingredients(2, locals(), ("mass", "length", "stiffness"), controls=("force",))
     (theta, r), (turning, stretching) = ca.vertsplit(made.q), ca.vertsplit(made.v)
-    kinetic = made["mass"] * (stretching**2 + (r * turning) ** 2) / 2
-    potential = -made["mass"] * made["gravity"] * r * ca.cos(theta) + made["stiffness"] * (r - made["length"]) ** 2 / 2
+    kinetic = made.mass * (stretching**2 + (r * turning) ** 2) / 2
+    potential = -made.mass * made.gravity * r * ca.cos(theta) + made.stiffness * (r - made.length) ** 2 / 2
     return made.model(
         "driven_swing", kinetic, potential, names=["theta", "r"], angles=[True, False],
-        forces=ca.vertcat(-made["damping"] * turning, made["force"]),
+        forces=ca.vertcat(-made.damping * turning, made.force),
         points=ca.horzcat(ca.SX.zeros(2), r * ca.vertcat(ca.cos(theta), ca.sin(theta))), controls=["force"],
     )  # fmt: skip
 
@@ -69,7 +69,7 @@ def driven_hopper(
     control `push` (N) beside it; it leaves the ground and comes back at the leg's length, y = 0.
     """
     made = ingredients(1, locals(), ("mass", "stiffness", "gravity"), controls=("push",))
-    return hopper("driven_hopper", made, made["push"] - made["damping"] * made.v, controls=["push"])
+    return hopper("driven_hopper", made, made.push - made.damping * made.v, controls=["push"])
 
 
 __all__ = [

@@ -32,8 +32,8 @@ class Ingredients:
     controls: tuple[str, ...] = ()
     """parameters that are no arguments of the function: what varies in time, 0 without"""
 
-    def __getitem__(self, name: str) -> Any:
-        """The symbol of one parameter."""
+    def __getattr__(self, name: str) -> Any:
+        """The symbol of a parameter."""
         return self.parameters[list(self.values).index(name)]
 
     def model(self, function: str, kinetic: ca.SX, potential: ca.SX, *, fixed: Any = None, **parts: Any) -> Model:
@@ -42,7 +42,7 @@ class Ingredients:
         `fixed` are arguments that are no parameters, `parts` those of `lagrange`; a frequency is the forcing's.
         """
         names, values = tuple(self.values), tuple(self.values.values())
-        clock = 2 * np.pi / self["frequency"] if "frequency" in self.values else None
+        clock = 2 * np.pi / self.frequency if "frequency" in self.values else None
         symbols = Symbols(self.q, self.v, self.parameters, names, values, self.t, clock)
         system = self._described(function, fixed)
         return lagrange(kinetic, potential, symbols, system=system, **parts)
@@ -98,14 +98,14 @@ def duffing(stiffness: float = 1.0, cubic: float = 1.0) -> Model:
     """
     made = ingredients(1, locals())
     q, v = made.q, made.v
-    potential = made["stiffness"] * q**2 / 2 + made["cubic"] * q**4 / 4
+    potential = made.stiffness * q**2 / 2 + made.cubic * q**4 / 4
     return made.model("duffing", v**2 / 2, potential, names=["x"], points=_slider(made), strokes=TIED)
 
 
 def double_well(depth: float = 0.25, distance: float = 1.0) -> Model:
     """Unit mass in V = depth ((x / distance)^2 - 1)^2: minima at +-distance, barrier `depth` J at 0."""
     made = ingredients(1, locals(), ("depth", "distance"))
-    potential = made["depth"] * ((made.q / made["distance"]) ** 2 - 1) ** 2
+    potential = made.depth * ((made.q / made.distance) ** 2 - 1) ** 2
     return made.model("double_well", made.v**2 / 2, potential, names=["x"], points=_slider(made), strokes=TIED)
 
 
@@ -120,7 +120,7 @@ def van_der_pol(damping: float = 1.0) -> Model:
         "van_der_pol",
         v**2 / 2,
         q**2 / 2,
-        forces=made["damping"] * (1 - q**2) * v,
+        forces=made.damping * (1 - q**2) * v,
         names=["x"],
         points=_slider(made),
         strokes=TIED,
@@ -137,8 +137,8 @@ def forced_duffing(
     """
     made = ingredients(1, locals(), ("frequency",))
     q, v = made.q, made.v
-    potential = made["stiffness"] * q**2 / 2 + made["cubic"] * q**4 / 4
-    push = made["force"] * ca.cos(made["frequency"] * made.t) - made["damping"] * v
+    potential = made.stiffness * q**2 / 2 + made.cubic * q**4 / 4
+    push = made.force * ca.cos(made.frequency * made.t) - made.damping * v
     return made.model(
         "forced_duffing", v**2 / 2, potential, forces=push, names=["x"], points=_slider(made), strokes=TIED
     )
@@ -154,9 +154,9 @@ def forced_pendulum(
 ) -> Model:
     """m l^2 theta'' + damping theta' + m g l sin(theta) = torque cos(frequency t), a point mass on a rod."""
     made = ingredients(1, locals(), ("length", "mass", "frequency"))
-    q, v, arm = made.q, made.v, made["length"]
-    kinetic, potential = made["mass"] * (arm * v) ** 2 / 2, -made["mass"] * made["gravity"] * arm * ca.cos(q)
-    drive = made["torque"] * ca.cos(made["frequency"] * made.t) - made["damping"] * v
+    q, v, arm = made.q, made.v, made.length
+    kinetic, potential = made.mass * (arm * v) ** 2 / 2, -made.mass * made.gravity * arm * ca.cos(q)
+    drive = made.torque * ca.cos(made.frequency * made.t) - made.damping * v
     return made.model(
         "forced_pendulum", kinetic, potential, forces=drive, names=["theta"], angles=[True], points=_rod(made)
     )
@@ -170,8 +170,8 @@ def coupled_pendula(damping: float = 0.1, torque: float = 0.2, coupling: float =
     """
     made = ingredients(2, locals())
     q, v = made.q, made.v
-    potential = -ca.sum1(ca.cos(q)) + made["coupling"] * (q[0] - q[1]) ** 2 / 2
-    push = made["torque"] - made["damping"] * v
+    potential = -ca.sum1(ca.cos(q)) + made.coupling * (q[0] - q[1]) ** 2 / 2
+    push = made.torque - made.damping * v
     return made.model("coupled_pendula", ca.sumsqr(v) / 2, potential, forces=push, angles=[True, True])
 
 
@@ -188,12 +188,12 @@ def vibrated_pendulum(
     sqrt(2 g l) the upright position is stable: P. L. Kapitza, Soviet Physics JETP 21 (1951) 588.
     """
     made = ingredients(1, locals(), ("length", "frequency"))
-    q, v, arm = made.q, made.v, made["length"]
-    pivot = made["amplitude"] * ca.cos(made["frequency"] * made.t)
+    q, v, arm = made.q, made.v, made.length
+    pivot = made.amplitude * ca.cos(made.frequency * made.t)
     place = ca.vertcat(pivot + arm * ca.cos(q), arm * ca.sin(q))
     velocity = ca.jtimes(place, q, v) + ca.jacobian(place, made.t)
     return made.model(
-        "vibrated_pendulum", ca.sumsqr(velocity) / 2, -made["gravity"] * place[0], forces=-made["damping"] * v,
+        "vibrated_pendulum", ca.sumsqr(velocity) / 2, -made.gravity * place[0], forces=-made.damping * v,
         names=["theta"], angles=[True], points=_rod(made),
     )  # fmt: skip
 
@@ -205,9 +205,9 @@ def rotating_hoop(radius: float = 1.0, mass: float = 1.0, gravity: float = 9.8, 
     section 2.7). Above spin = sqrt(g / r) the bottom is unstable.
     """
     made = ingredients(1, locals(), ("radius", "mass"))
-    q, v, r = made.q, made.v, made["radius"]
-    kinetic = made["mass"] * r**2 * (v**2 + (made["spin"] * ca.sin(q)) ** 2) / 2
-    weight = -made["mass"] * made["gravity"] * r * ca.cos(q)
+    q, v, r = made.q, made.v, made.radius
+    kinetic = made.mass * r**2 * (v**2 + (made.spin * ca.sin(q)) ** 2) / 2
+    weight = -made.mass * made.gravity * r * ca.cos(q)
     return made.model(
         "rotating_hoop", kinetic, weight, names=["theta"], angles=[True], points=r * ca.horzcat(ca.SX.zeros(2),
         ca.vertcat(ca.cos(q), ca.sin(q))), strokes=(("disc", (0, 1)), ("rod", (1,))),
@@ -219,7 +219,7 @@ def _slider(made: Ingredients) -> ca.SX:
 
 
 def _rod(made: Ingredients) -> ca.SX:
-    return made["length"] * ca.horzcat(ca.SX.zeros(2), ca.vertcat(ca.cos(made.q), ca.sin(made.q)))
+    return made.length * ca.horzcat(ca.SX.zeros(2), ca.vertcat(ca.cos(made.q), ca.sin(made.q)))
 
 
 def spring_pendulum(length: float = 1.0, mass: float = 1.0, stiffness: float = 29.4, gravity: float = 9.8) -> Model:
@@ -231,10 +231,10 @@ def spring_pendulum(length: float = 1.0, mass: float = 1.0, stiffness: float = 2
     """
     made = ingredients(2, locals(), ("length", "mass", "stiffness"))
     q, v = made.q, made.v
-    stretch = ca.norm_2(q) - made["length"]
-    potential = made["stiffness"] * stretch**2 / 2 - made["mass"] * made["gravity"] * q[0]
+    stretch = ca.norm_2(q) - made.length
+    potential = made.stiffness * stretch**2 / 2 - made.mass * made.gravity * q[0]
     return made.model(
-        "spring_pendulum", made["mass"] * ca.sumsqr(v) / 2, potential, names=["x", "y"],
+        "spring_pendulum", made.mass * ca.sumsqr(v) / 2, potential, names=["x", "y"],
         points=ca.horzcat(ca.SX.zeros(2), q), centres=q, strokes=SPRUNG,
     )  # fmt: skip
 
@@ -246,11 +246,11 @@ def spherical_pendulum(length: float = 1.0, mass: float = 1.0, gravity: float = 
     whole times. Period and turn of a swing are elliptic integrals (E. T. Whittaker, Analytical Dynamics, section 55).
     """
     made = ingredients(2, locals(), ("length", "mass"))
-    (theta, phi), (u, w), arm = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made["length"]
-    kinetic = made["mass"] * arm**2 * (u**2 + (ca.sin(theta) * w) ** 2) / 2
+    (theta, phi), (u, w), arm = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made.length
+    kinetic = made.mass * arm**2 * (u**2 + (ca.sin(theta) * w) ** 2) / 2
     bob = arm * ca.vertcat(ca.cos(theta), ca.sin(theta) * ca.cos(phi), ca.sin(theta) * ca.sin(phi))
     return made.model(
-        "spherical_pendulum", kinetic, -made["mass"] * made["gravity"] * bob[0], names=["theta", "phi"],
+        "spherical_pendulum", kinetic, -made.mass * made.gravity * bob[0], names=["theta", "phi"],
         angles=[True, True], points=ca.horzcat(ca.SX.zeros(3), bob), centres=bob[:2],
         strokes=(("ground", (0,)), ("rod", (0, 1))),
     )  # fmt: skip
@@ -264,11 +264,11 @@ def swinging_spring(length: float = 1.0, mass: float = 1.0, stiffness: float = 2
     """
     made = ingredients(3, locals(), ("length", "mass", "stiffness"))
     (z, r, phi), v = (made.q[0], made.q[1], made.q[2]), made.v
-    stretch = ca.sqrt(z**2 + r**2) - made["length"]
+    stretch = ca.sqrt(z**2 + r**2) - made.length
     bob = ca.vertcat(z, r * ca.cos(phi), r * ca.sin(phi))
     return made.model(
-        "swinging_spring", made["mass"] * (v[0] ** 2 + v[1] ** 2 + (r * v[2]) ** 2) / 2,
-        made["stiffness"] * stretch**2 / 2 - made["mass"] * made["gravity"] * z, names=["z", "r", "phi"],
+        "swinging_spring", made.mass * (v[0] ** 2 + v[1] ** 2 + (r * v[2]) ** 2) / 2,
+        made.stiffness * stretch**2 / 2 - made.mass * made.gravity * z, names=["z", "r", "phi"],
         angles=[False, False, True], points=ca.horzcat(ca.SX.zeros(3), bob), centres=bob[:2], strokes=SPRUNG,
     )  # fmt: skip
 
@@ -283,7 +283,7 @@ def turning_three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 
     """
     made = ingredients(4, locals(), tuple(locals()))
     (r, phi, u, w), v = ca.vertsplit(made.q), made.v
-    m1, m2, m3 = (made[f"mass{k}"] for k in (1, 2, 3))
+    m1, m2, m3 = (getattr(made, f"mass{k}") for k in (1, 2, 3))
     pair = m1 + m2
     first, second = -m2 / pair * r, m1 / pair * r
     kinetic = m1 * m2 / pair * (v[0] ** 2 + (r * v[1]) ** 2) / 2
@@ -294,7 +294,7 @@ def turning_three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 
     places -= ca.repmat(places @ ca.vertcat(m1, m2, m3) / (pair + m3), 1, 3)
     pull = m1 * m2 / r + m1 * m3 / near + m2 * m3 / far
     return made.model(
-        "turning_three_bodies", kinetic, -made["gravitation"] * pull,
+        "turning_three_bodies", kinetic, -made.gravitation * pull,
         names=["r", "phi", "u", "w"], angles=[False, True, False, False], points=places, centres=places,
         strokes=tuple(("rod", (k,)) for k in range(3)),
     )  # fmt: skip
@@ -313,7 +313,7 @@ def pendulum_on_cart(
     made = ingredients(2, {**given, "gravity": gravity}, tuple(given))
     kinetic, potential, places = hanging(made)
     if tied:
-        potential += made["stiffness"] * made.q[0] ** 2 / 2
+        potential += made.stiffness * made.q[0] ** 2 / 2
     return made.model(
         "pendulum_on_cart", kinetic, potential, names=["y", "theta"], angles=[False, True],
         points=places, strokes=(("slider", (0,)), ("rod", (0, 1))),
@@ -322,10 +322,10 @@ def pendulum_on_cart(
 
 def hanging(made: Ingredients) -> tuple[ca.SX, ca.SX, ca.SX]:
     """T and V of a point mass on a rod that hangs from a cart on a level track, and the places of both (2 x 2)."""
-    q, v, arm = made.q, made.v, made["length"]
+    q, v, arm = made.q, made.v, made.length
     bob = ca.vertcat(arm * ca.cos(q[1]), q[0] + arm * ca.sin(q[1]))
-    kinetic = made["cart"] * v[0] ** 2 / 2 + made["mass"] * ca.sumsqr(ca.jtimes(bob, q, v)) / 2
-    return kinetic, -made["mass"] * made["gravity"] * bob[0], ca.horzcat(ca.vertcat(0, q[0]), bob)
+    kinetic = made.cart * v[0] ** 2 / 2 + made.mass * ca.sumsqr(ca.jtimes(bob, q, v)) / 2
+    return kinetic, -made.mass * made.gravity * bob[0], ca.horzcat(ca.vertcat(0, q[0]), bob)
 
 
 def cart_chain(
@@ -342,12 +342,10 @@ def cart_chain(
     )
     q = made.q
     stretch = ca.vertcat(q, 0) - ca.vertcat(0, q)
-    potential = ca.sum1(
-        made["stiffness"] * stretch**2 / 2 + made["quadratic"] * stretch**3 / 3 + made["cubic"] * stretch**4 / 4
-    )
+    potential = ca.sum1(made.stiffness * stretch**2 / 2 + made.quadratic * stretch**3 / 3 + made.cubic * stretch**4 / 4)
     places = ca.vertcat(0, q, 0) + 3 * ca.SX(range(count + 2))  # seen apart also where they swing by a length and more
     return made.model(
-        "cart_chain", made["mass"] * ca.sumsqr(made.v) / 2, potential, names=[f"y{i + 1}" for i in range(count)],
+        "cart_chain", made.mass * ca.sumsqr(made.v) / 2, potential, names=[f"y{i + 1}" for i in range(count)],
         points=ca.horzcat(ca.SX.zeros(count + 2), places).T, fixed={"carts": count},
         strokes=(*(("spring", (k, k + 1)) for k in range(count + 1)), ("ground", (0,)), ("ground", (count + 1,)),
                  *(("slider", (k + 1,)) for k in range(count))),
@@ -361,7 +359,7 @@ def henon_heiles(coupling: float = 1.0) -> Model:
     """
     made = ingredients(2, locals())
     x, y = made.q[0], made.q[1]
-    potential = ca.sumsqr(made.q) / 2 + made["coupling"] * (x**2 * y - y**3 / 3)
+    potential = ca.sumsqr(made.q) / 2 + made.coupling * (x**2 * y - y**3 / 3)
     return made.model(
         "henon_heiles", ca.sumsqr(made.v) / 2, potential, names=["x", "y"], points=ca.vertcat(-y, x),
         centres=ca.vertcat(-y, x),
@@ -382,7 +380,7 @@ def restricted_three_body(ratio: float = 0.012277471, spatial: bool = False) -> 
     if not isinstance(spatial, bool):
         raise InputError(f"system.arguments.spatial: must be true or false, got {spatial!r}; leave it out in the plane")
     made = ingredients(2 + spatial, {"ratio": ratio}, ("ratio",))
-    (x, y), (u, w), small = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made["ratio"]
+    (x, y), (u, w), small = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made.ratio
     aside = ca.sumsqr(made.q[1:])
     kinetic = ((u - y) ** 2 + (w + x) ** 2 + (made.v[2] ** 2 if spatial else 0)) / 2
     potential = -(1 - small) / ca.sqrt((x + small) ** 2 + aside) - small / ca.sqrt((x - 1 + small) ** 2 + aside)
@@ -443,7 +441,7 @@ def n_bodies(count: int = 3, dimension: int = 2, gravitation: float = 1.0, **mas
 def _attracting(made: Ingredients, function: str, names: Sequence[str], count: int, fixed: Any = None) -> Model:
     """Point masses mass1, ... in Jacobi coordinates; those drawn are at rest with their centre of mass."""
     size = len(names) // (count - 1)
-    masses = [made[f"mass{k + 1}"] for k in range(count)]
+    masses = [getattr(made, f"mass{k + 1}") for k in range(count)]
     total, kinetic, pull, places = masses[0], ca.SX(0), ca.SX(0), [ca.SX.zeros(size)]  # from the centre so far
     for k, mass in enumerate(masses[1:]):
         here = slice(k * size, (k + 1) * size)
@@ -454,7 +452,7 @@ def _attracting(made: Ingredients, function: str, names: Sequence[str], count: i
         places.append(total / (total + mass) * made.q[here])
         total += mass
     down = ca.horzcat(*(ca.vertcat(-x[1], x[0], *ca.vertsplit(x[2:])) for x in places))
-    pull *= made["gravitation"] if "gravitation" in made.values else 1
+    pull *= made.gravitation if "gravitation" in made.values else 1
     return made.model(
         function, kinetic / 2, -pull, names=names, points=down, fixed=fixed,
         strokes=tuple(("rod", (k,)) for k in range(count)),
@@ -500,7 +498,7 @@ def planar_oscillator(stiffness_x: float = 1.0, stiffness_y: float = 2.0, quarti
     """Unit mass in V = (a x^2 + b y^2) / 2 + quartic x^2 y^2: two springs coupled at fourth order."""
     made = ingredients(2, locals(), ("stiffness_x", "stiffness_y"))
     x, y = made.q[0], made.q[1]
-    potential = (made["stiffness_x"] * x**2 + made["stiffness_y"] * y**2) / 2 + made["quartic"] * (x * y) ** 2
+    potential = (made.stiffness_x * x**2 + made.stiffness_y * y**2) / 2 + made.quartic * (x * y) ** 2
     return made.model("planar_oscillator", ca.sumsqr(made.v) / 2, potential, names=["x", "y"], points=ca.vertcat(-y, x))
 
 

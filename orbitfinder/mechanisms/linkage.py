@@ -263,7 +263,17 @@ def _dyad(model: Model, fixed: Mapping[int, float], branch: int | None, guess: n
     lengths, ground = dimensions(model)
     i, j = (k for k in range(lengths.size) if k not in fixed)
     gap = ground - sum(lengths[k] * np.array([np.cos(angle), np.sin(angle)]) for k, angle in fixed.items())
-    _check_reach(lengths, fixed, (i, j), float(np.hypot(*gap)))
+    distance, longest, shortest = float(np.hypot(*gap)), lengths[i] + lengths[j], abs(lengths[i] - lengths[j])
+    margin = REACH_TOLERANCE * longest
+    if not (shortest - margin <= distance <= longest + margin and distance > 0):
+        given = ", ".join(f"theta{k + 1} = {angle:.6g}" for k, angle in fixed.items()) or "no angle given"
+        rule = f"at least {shortest:.6g} m = |length{i + 1} - length{j + 1}|"
+        if distance > longest:
+            rule = f"at most {longest:.6g} m = length{i + 1} + length{j + 1}"
+        raise InputError(
+            f"linkage: cannot be assembled at {given}: bars {i + 1} and {j + 1} would have to span {distance:.6g} m, "
+            f"but they span {rule} (triangle inequality); give other angles or other lengths"
+        )
     known, bars, solutions = ca.SX(list(fixed.values())), [k + 1 for k in fixed], {}
     for sign in (1, -1):
         angles = _bar_angles(model, known, ca.SX(model.parameter_values), bars, sign)
@@ -274,24 +284,6 @@ def _dyad(model: Model, fixed: Mapping[int, float], branch: int | None, guess: n
     if branch is not None or guess is None:
         return solutions[branch or 1]
     return min(solutions.values(), key=lambda solution: float(np.linalg.norm(solution - guess)))
-
-
-def _check_reach(lengths: np.ndarray, fixed: Mapping[int, float], pair: tuple[int, int], distance: float) -> None:
-    """`InputError` unless |l_i - l_j| <= distance <= l_i + l_j, both with a margin for round-off."""
-    i, j = pair
-    longest, shortest = lengths[i] + lengths[j], abs(lengths[i] - lengths[j])
-    margin = REACH_TOLERANCE * longest
-    given = ", ".join(f"theta{k + 1} = {angle:.6g}" for k, angle in fixed.items()) or "no angle given"
-    if shortest - margin <= distance <= longest + margin and distance > 0:
-        return
-    if distance > longest:
-        rule = f"at most {longest:.6g} m = length{i + 1} + length{j + 1}"
-    else:
-        rule = f"at least {shortest:.6g} m = |length{i + 1} - length{j + 1}|"
-    raise InputError(
-        f"linkage: cannot be assembled at {given}: bars {i + 1} and {j + 1} would have to span {distance:.6g} m, "
-        f"but they span {rule} (triangle inequality); give other angles or other lengths"
-    )
 
 
 def _nearest(lengths: np.ndarray, ground: np.ndarray, fixed: Mapping[int, float], guess: np.ndarray) -> np.ndarray:
@@ -366,19 +358,14 @@ def _bar_angles(model: Model, u: ca.SX, p: ca.SX, independent: Sequence[int], br
         angles[k] = u[position]
         gap = gap - lengths[k] * ca.vertcat(ca.cos(u[position]), ca.sin(u[position]))
     i, j = rest
-    angles[i], angles[j] = _triangle(gap, lengths[i], lengths[j], branch)
-    return ca.vertcat(*angles)
-
-
-def _triangle(gap: ca.SX, first: ca.SX, second: ca.SX, branch: int) -> tuple[ca.SX, ca.SX]:
-    """Angles of two bars that span a gap (2): heading -+ arccos of the cosine rule, and what is left."""
     distance = ca.norm_2(gap)
-    cosine = (distance**2 + first**2 - second**2) / (2 * distance * first)
+    cosine = (distance**2 + lengths[i] ** 2 - lengths[j] ** 2) / (2 * distance * lengths[i])
     if cosine.is_constant():
         cosine = ca.fmax(ca.fmin(cosine, 1.0), -1.0)  # stretched out, but for round-off
-    angle = ca.atan2(gap[1], gap[0]) - branch * ca.acos(cosine)
-    elbow = gap - first * ca.vertcat(ca.cos(angle), ca.sin(angle))
-    return angle, ca.atan2(elbow[1], elbow[0])
+    angles[i] = ca.atan2(gap[1], gap[0]) - branch * ca.acos(cosine)
+    elbow = gap - lengths[i] * ca.vertcat(ca.cos(angles[i]), ca.sin(angles[i]))
+    angles[j] = ca.atan2(elbow[1], elbow[0])
+    return ca.vertcat(*angles)
 
 
 def _in_all(model: Model, system: Table, u: ca.SX) -> ca.SX:

@@ -62,7 +62,7 @@ def simplest_walker(slope: float = 0.009) -> Model:
     """
     made = ingredients(2, locals())
     (theta, phi), rate = (made.q[0], made.q[1]), made.v[0]
-    tilt = theta - made["slope"]
+    tilt = theta - made.slope
     stance = ca.sin(tilt)
     swing = stance + rate**2 * ca.sin(phi) - ca.cos(tilt) * ca.sin(phi)
     hip = _along(tilt)
@@ -101,7 +101,7 @@ class _Legs:
         """Its equations of motion."""
         made = self.made
         kinetic = sum((m * ca.sumsqr(ca.jtimes(place, made.q, made.v)) / 2 for m, place in self.masses), ca.SX(0))
-        potential = sum((m * made["gravity"] * place[1] for m, place in self.masses), ca.SX(0))
+        potential = sum((m * made.gravity * place[1] for m, place in self.masses), ca.SX(0))
         return made.model(self.function, kinetic, potential, **parts)
 
     def ground_force(self, model: Model) -> dict[str, Expression]:
@@ -111,7 +111,7 @@ class _Legs:
         rates = ca.jtimes(momentum, made.q, made.v) + ca.jacobian(momentum, made.v) @ model.acceleration(
             0, made.q, made.v, made.parameters
         )
-        weight = sum((m for m, _ in self.masses), ca.SX(0)) * made["gravity"]
+        weight = sum((m for m, _ in self.masses), ca.SX(0)) * made.gravity
         force = ca.Function("force", [ca.vertcat(made.q, made.v), made.parameters], [rates + ca.vertcat(0, weight)])
         return {"ground force": lambda x, p: ca.dot(_normal(p), force(ca.vertcat(*x), ca.vertcat(*p)))}
 
@@ -125,10 +125,10 @@ class _Compass(_Legs):
 
     def __init__(self, made: Ingredients, function: str = "compass_gait") -> None:
         super().__init__(function, made, 2)
-        self.hip = self.foot + (made["a"] + made["b"]) * self.along[0]
-        self.tip = self.hip - (made["a"] + made["b"]) * self.along[1]
-        places = [self.foot + made["a"] * self.along[0], self.hip, self.hip - made["b"] * self.along[1]]
-        self.masses = list(zip((made["mass"], made["hip_mass"], made["mass"]), places, strict=True))
+        self.hip = self.foot + (made.a + made.b) * self.along[0]
+        self.tip = self.hip - (made.a + made.b) * self.along[1]
+        places = [self.foot + made.a * self.along[0], self.hip, self.hip - made.b * self.along[1]]
+        self.masses = list(zip((made.mass, made.hip_mass, made.mass), places, strict=True))
 
 
 class _Kneed(_Legs):
@@ -136,20 +136,20 @@ class _Kneed(_Legs):
 
     def __init__(self, function: str, made: Ingredients) -> None:
         super().__init__(function, made, 3)
-        shank, thigh = made["a1"] + made["b1"], made["a2"] + made["b2"]
+        shank, thigh = made.a1 + made.b1, made.a2 + made.b2
         self.hip = self.foot + (shank + thigh) * self.along[0]
         self.knee = self.hip - thigh * self.along[1]
         self.tip = self.knee - shank * self.along[2]
-        heavy, light = made["thigh_mass"], made["shank_mass"]
+        heavy, light = made.thigh_mass, made.shank_mass
         self.masses = [
-            (light, self.foot + made["a1"] * self.along[0]), (heavy, self.foot + (shank + made["a2"]) * self.along[0]),
-            (made["hip_mass"], self.hip), (heavy, self.hip - made["b2"] * self.along[1]),
-            (light, self.knee - made["b1"] * self.along[2]),
+            (light, self.foot + made.a1 * self.along[0]), (heavy, self.foot + (shank + made.a2) * self.along[0]),
+            (made.hip_mass, self.hip), (heavy, self.hip - made.b2 * self.along[1]),
+            (light, self.knee - made.b1 * self.along[2]),
         ]  # fmt: skip
         self.corners = [self.foot, self.hip, self.knee, self.tip]
         if function == "five_link_walker":
-            head = self.hip + made["torso"] * _along((self.legs[0] + self.legs[1]) / 2)
-            self.masses.append((made["torso_mass"], head))
+            head = self.hip + made.torso * _along((self.legs[0] + self.legs[1]) / 2)
+            self.masses.append((made.torso_mass, head))
             self.corners[2:2] = [head, self.hip]
 
 
@@ -192,7 +192,7 @@ def compass(function: str, given: Mapping[str, float], controls: tuple[str, ...]
     fixed, floating = (_Compass(ingredients(count, given, positive, controls), function) for count in (2, 4))
     torques: dict[str, Any] = {"controls": controls}
     if controls:
-        hip, ankle = (fixed.made[name] for name in controls)
+        hip, ankle = (getattr(fixed.made, name) for name in controls)
         torques["forces"] = ca.vertcat(ankle - hip, hip)
     names, drawn = ["stance", "swing"], ca.horzcat(ca.SX.zeros(2), _downwards(fixed.hip), _downwards(fixed.tip))
     model = fixed.model(names=names, angles=[True, True], points=drawn, **torques)
@@ -333,12 +333,12 @@ def rimless_wheel(spokes: int = 8, slope: float = 0.08, length: float = 1.0, gra
     if count < 3:
         raise InputError(f"system.arguments.spokes: must be at least 3, got {spokes}; a wheel needs them")
     made = ingredients(1, {"length": length, "gravity": gravity, "slope": slope}, ("length", "gravity"))
-    arm, half = made["length"], np.pi / count
+    arm, half = made.length, np.pi / count
     ends = [ca.vertcat(arm * ca.cos(made.q + 2 * half * k), -arm * ca.sin(made.q + 2 * half * k)) for k in range(count)]
     hub = ca.vertcat(-arm * ca.cos(made.q), arm * ca.sin(made.q))
     rays = [hub + change * end for end in ends for change in (1, 0)]
     model = made.model(
-        "rimless_wheel", (arm * made.v) ** 2 / 2, made["gravity"] * arm * ca.cos(made.q), names=["theta"],
+        "rimless_wheel", (arm * made.v) ** 2 / 2, made.gravity * arm * ca.cos(made.q), names=["theta"],
         angles=[True], points=ca.horzcat(ca.SX.zeros(2), hub, *rays), fixed={"spokes": spokes},
     )  # fmt: skip
     turn = float(np.cos(2 * half))
@@ -362,11 +362,11 @@ def slip_runner(
     Source: R. Blickhan, "The spring-mass model for running and hopping", J. Biomechanics 22 (1989) 1217-1227.
     """
     made = ingredients(2, locals(), ("mass", "stiffness", "length", "gravity"))
-    kinetic, weight = made["mass"] * ca.sumsqr(made.v) / 2, made["mass"] * made["gravity"] * made.q[1]
+    kinetic, weight = made.mass * ca.sumsqr(made.v) / 2, made.mass * made.gravity * made.q[1]
     leg = ca.norm_2(made.q)
-    spring = made["stiffness"] * (made["length"] - leg) ** 2 / 2
+    spring = made.stiffness * (made.length - leg) ** 2 / 2
     names, mass_at = ["x", "y"], _downwards(made.q)
-    foot = made.q + made["length"] * ca.vertcat(ca.sin(made["attack"]), -ca.cos(made["attack"]))
+    foot = made.q + made.length * ca.vertcat(ca.sin(made.attack), -ca.cos(made.attack))
     flight = made.model(
         "slip_runner", kinetic, weight, names=names, points=ca.horzcat(_downwards(foot), mass_at), centres=mass_at
     )
@@ -467,11 +467,11 @@ def vertical_hopper(mass: float = 1.0, stiffness: float = 100.0, gravity: float 
 
 def hopper(function: str, made: Ingredients, forces: ca.SX | None = None, **parts: Any) -> Model:
     """The hopper of a function's name, on whose leg `forces` act while it is on the ground."""
-    kinetic, weight = made["mass"] * made.v**2 / 2, made["mass"] * made["gravity"] * made.q
+    kinetic, weight = made.mass * made.v**2 / 2, made.mass * made.gravity * made.q
     foot, mass_at = ca.vertcat(-made.q, 0), ca.vertcat(-1 - made.q, 0)  # of a leg that is drawn 1 m long
     flight = made.model(function, kinetic, weight, names=["y"], points=ca.horzcat(foot, mass_at), **parts)
     ground = made.model(
-        function, kinetic, weight + made["stiffness"] * made.q**2 / 2, names=["y"], forces=forces,
+        function, kinetic, weight + made.stiffness * made.q**2 / 2, names=["y"], forces=forces,
         points=ca.horzcat(ca.SX.zeros(2), mass_at), **parts,
     )  # fmt: skip
     transitions = [
@@ -490,11 +490,11 @@ def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
     Seismological Society of America 53 (1963) 403-417.
     """
     made = ingredients(1, locals(), ("angle", "stiffness"))
-    side = 2 * ca.sin(made["angle"]) * ca.vertcat(ca.cos(made.q), -ca.sin(made.q))  # (right, up), the diagonal is 2 m
-    up = 2 * ca.cos(made["angle"]) * ca.vertcat(ca.sin(made.q), ca.cos(made.q))
+    side = 2 * ca.sin(made.angle) * ca.vertcat(ca.cos(made.q), -ca.sin(made.q))  # (right, up), the diagonal is 2 m
+    up = 2 * ca.cos(made.angle) * ca.vertcat(ca.sin(made.q), ca.cos(made.q))
     corners = [_downwards(place) for place in (0 * up, up, up - side, -side, 0 * up)]
     model = made.model(
-        "rocking_block", made.v**2 / 2, made["stiffness"] * (ca.cos(made["angle"] - made.q)), names=["phi"],
+        "rocking_block", made.v**2 / 2, made.stiffness * (ca.cos(made.angle - made.q)), names=["phi"],
         angles=[True], points=ca.horzcat(*corners),
     )  # fmt: skip
     bounce = Transition(
@@ -514,7 +514,7 @@ def gravity_wedge(angle: float = 0.6, gravity: float = 1.0) -> Model:
     """
     made = ingredients(2, locals(), ("angle", "gravity"))
     model = made.model(
-        "gravity_wedge", ca.sumsqr(made.v) / 2, made["gravity"] * made.q[1], names=["x", "y"],
+        "gravity_wedge", ca.sumsqr(made.v) / 2, made.gravity * made.q[1], names=["x", "y"],
         points=_downwards(made.q),
     )  # fmt: skip
 
@@ -551,11 +551,11 @@ def wall_pendulum(
     Angles from the downward vertical; M (v+ - v-) = J^T P, J v+ = -J v-.
     """
     made = ingredients(2, locals(), ("length1", "length2", "mass1", "mass2", "gravity"))
-    places = [made["length1"] * ca.vertcat(ca.cos(made.q[0]), ca.sin(made.q[0]))]
-    places.append(places[0] + made["length2"] * ca.vertcat(ca.cos(made.q[1]), ca.sin(made.q[1])))
-    masses = list(zip((made["mass1"], made["mass2"]), places, strict=True))
+    places = [made.length1 * ca.vertcat(ca.cos(made.q[0]), ca.sin(made.q[0]))]
+    places.append(places[0] + made.length2 * ca.vertcat(ca.cos(made.q[1]), ca.sin(made.q[1])))
+    masses = list(zip((made.mass1, made.mass2), places, strict=True))
     kinetic = sum((m * ca.sumsqr(ca.jtimes(place, made.q, made.v)) / 2 for m, place in masses), ca.SX(0))
-    potential = sum((-m * made["gravity"] * place[0] for m, place in masses), ca.SX(0))
+    potential = sum((-m * made.gravity * place[0] for m, place in masses), ca.SX(0))
     model = made.model(
         "wall_pendulum", kinetic, potential, names=["theta1", "theta2"], angles=[True, True],
         points=ca.horzcat(ca.SX.zeros(2), *places),

@@ -1210,8 +1210,13 @@ def _closed(made: _Drawing, motion: _Energies, baumgarte: Sequence[float] | None
     phi, names = phi[kept], [names[k] for k in kept]
     matrix, bias = mass_matrix_and_bias(motion.kinetic, motion.potential, q, v, motion.acting)
     if baumgarte is None:
-        pace = _pace(ca.Function("free", symbols.arguments, [matrix, bias]), place, made.size, motion)
-        baumgarte = (pace, pace)
+        free, values = ca.Function("free", symbols.arguments, [matrix, bias]), np.array(symbols.parameter_values)
+        sizes, fastest = np.where(motion.angles, 1.0, made.size), 0.0  # how fast it goes, in 1/s
+        for away in (0.0, 0.3, -0.3):
+            mass, rest = (part.full() for part in free(0.0, place + away * sizes, 0 * place, values))
+            pushed = np.linalg.lstsq(mass, -rest.ravel(), rcond=None)[0]
+            fastest = max(fastest, float(np.abs(pushed / sizes).max()))
+        baumgarte = [float(2.0 ** np.round(np.log2(np.sqrt(fastest)))) if fastest > 0 else 1.0] * 2
     stabilisation = Baumgarte(*(finite_number("baumgarte", number) for number in baumgarte))
     return constrained_model(
         LinearBalances.held(matrix, bias, phi, q, v), phi,
@@ -1219,18 +1224,6 @@ def _closed(made: _Drawing, motion: _Energies, baumgarte: Sequence[float] | None
         coordinate_names(motion.names, symbols), force_names=names, **_parts(made, motion),
         system={**made.system, "baumgarte": [stabilisation.alpha, stabilisation.beta]},
     )  # fmt: skip
-
-
-def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Energies) -> float:
-    """How fast the mechanism goes, in 1/s, a power of two: what stabilises its constraints."""
-    values = np.array(motion.symbols.parameter_values)
-    fastest = 0.0
-    for away in (0.0, 0.3, -0.3):
-        there = place + away * np.where(motion.angles, 1.0, size)
-        matrix, bias = (part.full() for part in free(0.0, there, 0 * place, values))
-        pushed = np.linalg.lstsq(matrix, -bias.ravel(), rcond=None)[0]
-        fastest = max(fastest, float(np.abs(pushed / np.where(motion.angles, 1.0, size)).max()))
-    return float(2.0 ** np.round(np.log2(np.sqrt(fastest)))) if fastest > 0 else 1.0
 
 
 def _checked(made: _Drawing, motion: _Energies, phi: ca.SX, names: Sequence[str]) -> tuple[np.ndarray, list[int]]:

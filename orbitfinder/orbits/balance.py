@@ -105,7 +105,13 @@ def begun(problem: Problem, parameter: str, until: float | None = None) -> Point
         w = Coefficients(np.concatenate([(motion @ basis.back.T).ravel(), values]))
         balanced = balanced.measured(w)
         try:
-            return _settled(balanced, _near(balanced, w, wanted), wanted)
+            w = _near(balanced, w, wanted)
+            while True:
+                point = solved(balanced, w, lambda w: balanced.aim(w, wanted.name, wanted.value))  # noqa: B023
+                renewed = balanced.measured(point.w)
+                if renewed.enough(point.w):
+                    return Point(renewed, point.w, point.tangent).sharp
+                balanced, w, _ = renewed.finer(point.w, point.tangent)
         except ConvergenceError as error:
             failed = error
     raise failed
@@ -141,16 +147,6 @@ def _near(balanced: Balanced, w: Coefficients, wanted: Pin) -> Coefficients:
     if not near.converged:
         raise ConvergenceError(f"harmonic balance stalls at rows of {near.size:.2g}; give a trajectory near the motion")
     return near.w
-
-
-def _settled(balanced: Balanced, w: Coefficients, wanted: Pin) -> Point:
-    """The motion at what is wanted, its tangent along what that moves."""
-    while True:
-        point = solved(balanced, w, lambda w: balanced.aim(w, wanted.name, wanted.value))  # noqa: B023 - of this round
-        renewed = balanced.measured(point.w)
-        if renewed.enough(point.w):
-            return Point(renewed, point.w, point.tangent).sharp
-        balanced, w, _ = renewed.finer(point.w, point.tangent)
 
 
 def states_of(point: Point, shares: np.ndarray) -> np.ndarray:

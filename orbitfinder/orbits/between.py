@@ -112,8 +112,12 @@ def overlooked(trace: Trace, looks: int = LOOKS) -> tuple[float, float, int]:
         return 0.0, 1.0, 0
     moments, step, width = _looks(trace, looks)
     slopes = trace.rates(times, y)
-    compiled = trace.strayed(slopes, step, moments)
-    off = _strayed(trace, slopes, step, moments) if compiled is None else compiled
+    off = trace.strayed(slopes, step, moments)
+    if off is None:
+        between, rates = curve(times, y, slopes, step, moments)
+        with np.errstate(all="ignore"):
+            off = np.abs(trace.rates(moments, between) - rates).max(axis=1)
+        off = np.where(np.isfinite(off), off, np.inf)
     suspect = off > SUSPECT * max(float(np.abs(slopes).max()), 1.0 / period)
     worst = np.zeros(len(times) - 1)
     np.maximum.at(worst, step[suspect], off[suspect])
@@ -122,14 +126,6 @@ def overlooked(trace: Trace, looks: int = LOOKS) -> tuple[float, float, int]:
         own, near = moments[suspect & (step == k)], float(np.diff(moments[step == k], append=times[k + 1]).max())
         changed += _retaken(trace, k, max(own[0] - near, times[k]), min(own[-1] + near, times[k + 1]), near / FINER)
     return changed, width, moments.size
-
-
-def _strayed(trace: Trace, slopes: np.ndarray, step: np.ndarray, moments: np.ndarray) -> np.ndarray:
-    """How far rates at moments (m), each within a `step`, are off the curve through the steps."""
-    states, rates = curve(trace.moments, trace.states, slopes, step, moments)
-    with np.errstate(all="ignore"):
-        off = np.abs(trace.rates(moments, states) - rates).max(axis=1)
-    return np.where(np.isfinite(off), off, np.inf)
 
 
 def _looks(trace: Trace, looks: int) -> tuple[np.ndarray, np.ndarray, float]:

@@ -91,7 +91,10 @@ class Product:
         whole[-1] = unit  # T_k U_k = U_{k+1} C_k, backwards: the error shrinks by the ratio of sizes in a pass
         for _ in range(MOST_PASSES):
             for k in range(count - 1, -1, -1):
-                whole[k] = np.where(free, _solved(self.upper[k], whole[k + 1] @ blocks[k]), unit)
+                _, _, solved, singular = dgesv(self.upper[k], whole[k + 1] @ blocks[k])
+                if singular:
+                    raise np.linalg.LinAlgError("singular matrix")
+                whole[k] = np.where(free, solved, unit)
             if np.abs(whole[0] - whole[-1]).max() <= NOISE * np.abs(whole[0]).max():
                 break
             whole[-1] = whole[0]
@@ -119,14 +122,6 @@ class Product:
         left = np.linalg.norm(np.linalg.inv(np.roll(right, -1, axis=0)), axis=2)
         each = left * np.linalg.norm(self.upper, 2, axis=(1, 2))[:, None] / stretched
         return np.asarray(np.sqrt(np.asarray(accuracy) ** 2 @ each**2) + self.missed * each.max(axis=0))
-
-
-def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """matrix^-1 right, by LAPACK itself."""
-    _, _, found, singular = dgesv(matrix, right)
-    if singular:
-        raise np.linalg.LinAlgError("singular matrix")
-    return np.asarray(found)
 
 
 def product(factors: Sequence[np.ndarray] | np.ndarray) -> Product:

@@ -245,7 +245,13 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
     # a state alone is what equilibria start from: no period is given and nothing drives it
     if start and not (start.state is not None and start.period is start.duration is model.forcing_period is None):
         guess = replace(guess_from_table(start, model, source.parent), free=start.free)
-        problem = _problem(name, model, guess, table)
+        find: Entries = {key: tuple(value) if isinstance(value, list) else value for key, value in table.find}
+        find |= {"pin": pin(**(find["pin"] or {})), "bounds": {key: (*ends,) for key, ends in find["bounds"].items()}}
+        problem = Problem(
+            model, guess, **{key: value for key, value in find.items() if key not in ("starts", "seed")},
+            expected=_expected(table, model), control=_control(table.control), watch=table.watch, name=name,
+            title=table.title, source=table.source,
+        )  # fmt: skip
         problem.check_count()
     return ProblemFile(
         source, name, model, problem, document,
@@ -273,16 +279,6 @@ def _catalogued(
         raise InputError(f"guess.catalogue: row {row!r} has no period; add a column period in s")
     model = with_parameters(model, values) if values else model
     return model, start.model_copy(update={"catalogue": None, "state": state, "period": period})
-
-
-def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Problem:
-    find: Entries = {key: tuple(value) if isinstance(value, list) else value for key, value in table.find}
-    find["pin"], find["bounds"] = pin(**(find["pin"] or {})), {key: (*ends,) for key, ends in find["bounds"].items()}
-    return Problem(
-        model, guess, **{key: value for key, value in find.items() if key not in ("starts", "seed")},
-        expected=_expected(table, model), control=_control(table.control), watch=table.watch, name=name,
-        title=table.title, source=table.source,
-    )  # fmt: skip
 
 
 def _control(table: ControlTable | None) -> Control | None:

@@ -53,7 +53,10 @@ class Beyond:
             if name in ("add", "sub", "neg"):  # of which the remainder is that of their operands' remainders
                 rest[target] = WHOLE[name](*operands(rest, a, b, constant))
             elif name == "sincos":
-                rest[target], rest[b] = _sincos(self, target, a, b)
+                # Z = C + i S (polynomials) has Z' = i U' Z + t^{p-1} D, so |exp(iU) - Z| <= t^p max|D| / p
+                defect, span = abs(self.steep(b, a)) + abs(self.steep(target, a)), self.range(a)
+                bound = arb(0, (defect / self.order).upper())
+                rest[target], rest[b] = bound + rest[a] * span.cos(), bound - rest[a] * span.sin()
             else:
                 rest[target] = RULES[name](self, target, a, b, constant)
         return rest
@@ -101,14 +104,6 @@ def _divide(m: Beyond, w: int, u: int, v: int, _c: None) -> Any:
 def _quotient(m: Beyond, w: int, u: int, *_: Any) -> Any:
     """The same for a constant over u."""
     return -(m.product(u, w) + m.rest[u] * m.polynomial(w)) / m.whole(u)
-
-
-def _sincos(m: Beyond, s: int, u: int, c: int) -> tuple[Any, Any]:
-    """Z = C + i S (polynomials) has Z' = i U' Z + t^{p-1} D, so |exp(iU) - Z| <= t^p max|D| / p."""
-    defect = abs(m.steep(c, u)) + abs(m.steep(s, u))
-    bound = arb(0, (defect / m.order).upper())
-    span = m.range(u)
-    return bound + m.rest[u] * span.cos(), bound - m.rest[u] * span.sin()
 
 
 def _hull(x: Any) -> Any:

@@ -203,28 +203,23 @@ def npz_members(data: bytes, names: Sequence[str], room: int, kinds: str = "fiu"
             raise ValueError("more than 100 arrays")
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             for name in names or [name.removesuffix(".npy") for name in archive.namelist()]:
-                members[name] = _array(archive, name, room - sum(member.nbytes for member in members.values()), kinds)
+                info = archive.getinfo(f"{name}.npy")
+                left = room - sum(member.nbytes for member in members.values())
+                if info.file_size > left or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise ValueError(f"{name} would expand to {info.file_size} bytes")
+                with archive.open(info) as stream:
+                    form = np.lib.format
+                    headers = {(1, 0): form.read_array_header_1_0, (2, 0): form.read_array_header_2_0}
+                    shape, fortran, dtype = headers[form.read_magic(stream)](stream)
+                    if dtype.kind not in kinds or math.prod(shape) * dtype.itemsize != info.file_size - stream.tell():
+                        raise ValueError(f"{name} is not an array of numbers of its size")
+                    array = np.frombuffer(stream.read(), dtype).reshape(shape, order="F" if fortran else "C")
+                members[name] = array.astype({"f": float, "i": int, "u": int}.get(dtype.kind, dtype))
     except LimitError:
         raise
     except Exception as error:  # zipfile, zlib, struct, tokenize: what they raise has no common base
         raise ValueError(str(error)) from error
     return members
-
-
-def _array(archive: zipfile.ZipFile, name: str, room: int, kinds: str) -> np.ndarray:
-    """One member, if it is a plain array of numbers of no more than `room` bytes."""
-    info = archive.getinfo(f"{name}.npy")
-    if info.file_size > room or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ValueError(f"{name} would expand to {info.file_size} bytes")
-    with archive.open(info) as stream:
-        version = np.lib.format.read_magic(stream)
-        header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
-        shape, fortran, dtype = header(stream)
-        if dtype.kind not in kinds or math.prod(shape) * dtype.itemsize != info.file_size - stream.tell():
-            raise ValueError(f"{name} is not an array of numbers of its size")
-        content = stream.read()
-    array = np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
-    return array.astype({"f": float, "i": int, "u": int}.get(dtype.kind, dtype))
 
 
 def inflated(data: bytes, where: str, remedy: str) -> bytes:

@@ -288,8 +288,24 @@ class _Run:
         taken = good & ~short
         if path is not None:
             path(here[taken], t[taken] + self.sense * h[taken], after[taken])
-        self._accept(here[taken], h[taken], after[taken], rates[taken])
-        self.alive[here[~taken & (self.lengths[here] < STEPS.shortest * self.longest)]] = False
+        failed = here[~taken & (self.lengths[here] < STEPS.shortest * self.longest)]
+        here, h, after, rates = here[taken], h[taken], after[taken], rates[taken]
+        own, _ = self._watched(self.times[here] + self.sense * h, after, rates)
+        cells, last = self.plane.cell(own), self.cells[here]
+        counts = (cells != last) & (self.plane.direction * self.sense * (cells - last) >= 0)
+        self.since[here] += h
+        if counts.any():  # noted, and located all together at the end
+            who = here[counts]
+            level = np.maximum(cells, last)[counts]
+            begin = self.crossed[who], self.times[who], h[counts], level, self.states[who]
+            self.noted.append(np.column_stack([who, *begin]))
+            self.crossed[who] += 1
+            self.since[who] = 0.0
+        self.times[here] += self.sense * h
+        self.states[here], self.rates[here], self.cells[here] = after, rates, cells
+        self.alive[here[self.since[here] > self.longest]] = False
+        self.alive[self.crossed >= self.count] = False
+        self.alive[failed] = False
 
     def _turn(
         self, here: np.ndarray, h: np.ndarray, begin: tuple[np.ndarray, np.ndarray, np.ndarray],
@@ -319,24 +335,6 @@ class _Run:
                 peak = np.where(other & (self.plane.cell(b) == cells), s * h, peak)
         turns[turning] = peak
         return turns
-
-    def _accept(self, here: np.ndarray, h: np.ndarray, after: np.ndarray, rates: np.ndarray) -> None:
-        """Take steps, and note those that cross, which are located all together at the end."""
-        own, _ = self._watched(self.times[here] + self.sense * h, after, rates)
-        cells, before = self.plane.cell(own), self.cells[here]
-        counts = (cells != before) & (self.plane.direction * self.sense * (cells - before) >= 0)
-        self.since[here] += h
-        if counts.any():
-            who = here[counts]
-            level = np.maximum(cells, before)[counts]
-            begin = self.crossed[who], self.times[who], h[counts], level, self.states[who]
-            self.noted.append(np.column_stack([who, *begin]))
-            self.crossed[who] += 1
-            self.since[who] = 0.0
-        self.times[here] += self.sense * h
-        self.states[here], self.rates[here], self.cells[here] = after, rates, cells
-        self.alive[here[self.since[here] > self.longest]] = False
-        self.alive[self.crossed >= self.count] = False
 
     def line(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the motions are, and the crossings since the last line."""

@@ -497,8 +497,16 @@ def _box(cut: Surface, base: np.ndarray, ranges: Mapping[str, Sequence[float]]) 
         size = 1.5 * np.maximum(np.abs(middle), cut.units[list(cut.axes)])
         low[free], high[free] = -size[free], size[free]
         return low, high
+    along = np.linspace(0.0, 1.0, 40)
     for _ in range(80):  # until no motion is possible on the border
-        if _closed(cut, base, low, high, free):
+        sides = []
+        for k in free:
+            for end in (low[k], high[k]):
+                side = np.empty((along.size, 2))
+                side[:, 1 - k] = low[1 - k] + along * (high - low)[1 - k]
+                side[:, k] = end
+                sides.append(side)
+        if not np.isfinite(at_points(cut, base, np.vstack(sides))).any():
             return low, high
         wide = 1.15 * wide
         low[free], high[free] = (middle - wide)[free], (middle + wide)[free]
@@ -506,18 +514,6 @@ def _box(cut: Surface, base: np.ndarray, ranges: Mapping[str, Sequence[float]]) 
         f"ranges: missing; motions of this energy are not bounded on {cut.name}, give the range of "
         f"{' and '.join(names[k] for k in free)}"
     )
-
-
-def _closed(cut: Surface, base: np.ndarray, low: np.ndarray, high: np.ndarray, free: Sequence[int]) -> bool:
-    """Whether no motion is possible on those sides of a box that are free to move."""
-    along, sides = np.linspace(0.0, 1.0, 40), []
-    for k in free:
-        for end in (low[k], high[k]):
-            side = np.empty((along.size, 2))
-            side[:, 1 - k] = low[1 - k] + along * (high - low)[1 - k]
-            side[:, k] = end
-            sides.append(side)
-    return not np.isfinite(at_points(cut, base, np.vstack(sides))).any()
 
 
 def after_events(

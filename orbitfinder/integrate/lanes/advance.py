@@ -71,7 +71,12 @@ def advance_of(
     """
 
     def made() -> Advance:
-        code = _code(field, integrand, conditions)
+        sizes = {"D": field.size1_in(1), "CONDITIONS": conditions.size1_out(0)}
+        heads = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
+        bodies = march_code(varied_forms(field, integrand)[0]), emitted(scalars(field), "flow")
+        code = "".join(
+            [heads, *bodies, emitted(scalars(conditions), "conditions"), *map(source, ("pivots.c", "advance.c"))]
+        )
         worth_it(len(code), effort)
         return library(code, lambda path, new: Advance(path), None, LEVEL)
 
@@ -79,14 +84,3 @@ def advance_of(
         return None
     key = (Same(field), Same(integrand), Same(conditions), mode(), effort, *surroundings())
     return _advances(key, lambda: attempted(field.name(), made))
-
-
-def _code(field: ca.Function, integrand: ca.Function | None, conditions: ca.Function) -> str:
-    sizes = {"D": field.size1_in(1), "CONDITIONS": conditions.size1_out(0)}
-    heads = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
-    bodies = (
-        march_code(varied_forms(field, integrand)[0]),
-        emitted(scalars(field), "flow"),
-        emitted(scalars(conditions), "conditions"),
-    )
-    return "".join([heads, *bodies, source("pivots.c"), source("advance.c")])

@@ -187,15 +187,11 @@ def follow(
 
     try:
         pace = Pace(FIRST_STEP, SMALLEST_STEP, LARGEST_STEP, quick=QUICK, growth=growth)
-        return _finer(reached(known, 1.0, corrected, pace), newton, pin(1.0))
+        series = reached(known, 1.0, corrected, pace)
+        fine = resolved(series, newton, pin(1.0), FINE_TAIL)
+        return series if fine is None else fine[0]
     except ConvergenceError:
         return None
-
-
-def _finer(series: Series, newton: Stepper, pin: PinRow) -> Series:
-    """The same solution with a finer tail, itself where that fails."""
-    fine = resolved(series, newton, pin, FINE_TAIL)
-    return series if fine is None else fine[0]
 
 
 def near(guess: Series, series: Series) -> bool:

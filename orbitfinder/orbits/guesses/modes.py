@@ -84,7 +84,8 @@ def equilibrium(model: Model) -> np.ndarray:
         return own(from_here + units * q)
 
     zero, own = np.zeros(n), _potential(model)
-    work = _work(potential, n)
+    changes = [potential(sign * unit) - potential(zero) for unit in np.eye(n) for sign in (-1, 1)]
+    work = float(snapped(np.abs(np.nan_to_num(changes, nan=0.0, posinf=0.0, neginf=0.0)).max()))  # a power of 256
     slopes = [potential(1e-6 * unit) - potential(-1e-6 * unit) for unit in np.eye(n)]
     if np.abs(slopes).max() < 1e-11 * max(work, abs(potential(zero))):
         return from_here
@@ -92,12 +93,6 @@ def equilibrium(model: Model) -> np.ndarray:
     accelerations = linearised(model)
     rest = newton.equilibrium(lambda q: accelerations(q, zero)[:2], from_here + units * lowest, units)
     return rest.w if rest.converged else from_here + units * lowest
-
-
-def _work(potential: Callable[[np.ndarray], float], n: int) -> float:
-    """What the potential changes by within a unit of each coordinate, a power of 256; 1 where that is of order one."""
-    changes = [potential(sign * unit) - potential(np.zeros(n)) for unit in np.eye(n) for sign in (-1, 1)]
-    return float(snapped(np.abs(np.nan_to_num(changes, nan=0.0, posinf=0.0, neginf=0.0)).max()))
 
 
 def linkage_equilibrium(model: Model, guess: Sequence[float] | np.ndarray | None = None) -> np.ndarray:

@@ -63,7 +63,13 @@ def close_returns(
     trajectory). Close returns as starting points: D. P. Lathrop, E. J. Kostelich, Physical Review A
     40 (1989) 4028-4031. Raises `InputError` for fewer than 20 samples.
     """
-    times, states = _regular(np.asarray(times, float), np.asarray(states, float))
+    times, states = np.asarray(times, float), np.asarray(states, float)
+    if times.size < 20 or states.shape[0] != times.size:
+        raise InputError(
+            f"trajectory: {plural(times.size, 'time')} for {plural(states.shape[0], 'state')}; give at least 20 of both"
+        )
+    grid = np.linspace(times[0], times[-1], min(max(times.size, 400), MOST_SAMPLES))
+    times, states = grid, np.stack([np.interp(grid, times, column) for column in states.T], axis=1)
     step, wrapping = float(times[1] - times[0]), np.zeros(states.shape[1], bool)
     wrapping[: len(angles)] = angles
     extent = nonzero(np.ptp(states, axis=0))
@@ -213,14 +219,3 @@ def normal_mode_sum(
     # a longer period has to earn its length
     best = int(np.argmin(mismatch * np.arange(1, RETURNS.most_modes_periods + 1) + 1e-12 * periods))
     return Guess(state, float(periods[best]))
-
-
-def _regular(times: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The trajectory at no more than `MOST_SAMPLES` equal times."""
-    if times.size < 20 or states.shape[0] != times.size:
-        raise InputError(
-            f"trajectory: {plural(times.size, 'time')} for {plural(states.shape[0], 'state')}; give at least 20 of both"
-        )
-    count = min(max(times.size, 400), MOST_SAMPLES)
-    grid = np.linspace(times[0], times[-1], count)
-    return grid, np.stack([np.interp(grid, times, column) for column in states.T], axis=1)
