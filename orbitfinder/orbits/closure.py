@@ -66,13 +66,15 @@ class Closure:
 def closes(
     gap: np.ndarray, transitions: Sequence[np.ndarray], states: np.ndarray, rate: np.ndarray | None,
     kept: np.ndarray | None = None, basis: np.ndarray | None = None, precise: float = EPSILON,
+    monodromy: np.ndarray | None = None,
 ) -> Closure:  # fmt: skip
     """The `Closure` of a loop from its gap (m), the state-transition matrices of its pieces, its states (k x m), and
     f T (m) or None, or whatever else may be corrected (m x k).
 
     All in extents of the motion; `rate` is None where the period is prescribed. Components that nothing else drives
     close by themselves, to their own A. With the gradients (k x m) of what is `kept` the period's error is told.
-    `basis` (m x r) spans what constraints leave, the integration is `precise` to this.
+    `basis` (m x r) spans what constraints leave, the integration is `precise` to this, and so is the `monodromy` where
+    the product of the pieces is not.
     """
     sizes = np.maximum(np.abs(states).max(axis=0), 1.0)  # of the components, R
     whole = carried(transitions, sizes)
@@ -86,25 +88,26 @@ def closes(
     stays = (np.reshape(transitions, (-1, *unit.shape)) == unit).all(axis=(0, 2)) & (states == states[0]).all(axis=0)
     free, basis = unit[stays & (gap == 0)], unit if basis is None else basis
     frame = basis @ complement(free @ basis, (free if kept is None else kept) @ basis)
-    off, across = distance(frame.T @ gap, (-frame.T, frame.T), transitions, states, rate, precise)
+    off, across = distance(frame.T @ gap, (-frame.T, frame.T), transitions, states, rate, precise, monodromy)
     late = (0.0, 0.0)
     if kept is not None and rate is not None:
-        late = _late(gap, transitions, sizes, whole[1], np.vstack([rate, kept]), basis)
+        late = _late(
+            gap, _carrying(transitions, sizes.size, monodromy), sizes, whole[1], np.vstack([rate, kept]), basis
+        )
     return Closure(widest, whole[1], off, worst, across, *late)
 
 
-def _carrying(transitions: Sequence[np.ndarray], size: int) -> list[np.ndarray]:
+def _carrying(transitions: Sequence[np.ndarray], size: int, monodromy: np.ndarray | None) -> list[np.ndarray]:
     """What carries an error from the end, and from where each piece begins, to the end."""
-    return [each.astype(float) for each in accumulate(reversed(transitions), np.matmul, initial=np.eye(size))]
+    later = [each.astype(float) for each in accumulate(reversed(transitions), np.matmul, initial=np.eye(size))]
+    return later if monodromy is None else [*later[:-1], monodromy]
 
 
 def _late(
-    gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, grown: float, rows: np.ndarray,
-    basis: np.ndarray,
-) -> tuple[float, float]:  # fmt: skip
+    gap: np.ndarray, later: Sequence[np.ndarray], sizes: np.ndarray, grown: float, rows: np.ndarray, basis: np.ndarray
+) -> tuple[float, float]:
     """By what share of it the period of the true orbit may be another, infinite where none is isolated, and is, beyond
     what round-off of the state hides; `rows` (k x m) are f T and the gradients of what is kept."""
-    later = _carrying(transitions, sizes.size)
     rate, rows = basis.T @ rows[0], rows @ basis
     rows = grown * rows / nonzero(np.linalg.norm(rows, axis=1, keepdims=True))  # so that their shares cost little
     bordered = np.vstack([
@@ -155,7 +158,7 @@ def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.nd
 
 def distance(
     gap: np.ndarray, rows: tuple[np.ndarray, np.ndarray], transitions: Sequence[np.ndarray], states: np.ndarray,
-    late: np.ndarray | None, precise: float = EPSILON,
+    late: np.ndarray | None, precise: float = EPSILON, monodromy: np.ndarray | None = None,
 ) -> tuple[float, float]:  # fmt: skip
     """Norm of the smallest (d, d tau) that makes up for a gap (r) in what `rows` (r x m each) ask of both ends of a
     motion, of which the period changes the last by `late` (m); infinite where any could. And the same across the
@@ -165,7 +168,7 @@ def distance(
     integration that is more `precise` than the start adds nothing to what that is known to.
     """
     (first, last), size = rows, np.abs(states).max(axis=0)
-    later = _carrying(transitions, size.size)
+    later = _carrying(transitions, size.size, monodromy)
     grown = carried(transitions, np.ones(size.size))[1]
     columns = np.column_stack([first + last @ later[-1], *([] if late is None else [last @ late])])
     if not (np.isfinite(grown) and np.isfinite(columns).all() and np.isfinite(gap).all()):
@@ -182,7 +185,9 @@ def distance(
     if precise < EPSILON:  # pieces are in long double
         sooner = accumulate(transitions, lambda done, piece: piece @ done, initial=np.eye(size.size))
         ways = zip(sooner, reversed(later), strict=True)
-        lost = LONG * max(float(np.linalg.norm(after) * np.linalg.norm(before)) for before, after in ways)
+        lost = (LONG if monodromy is None else precise) * max(
+            float(np.linalg.norm(after) * np.linalg.norm(before)) for before, after in ways
+        )
     known = singular - lost
     steps = np.divide(beyond, known, out=np.full(known.shape, np.inf), where=known > 0)
     return float(np.linalg.norm(steps)), float(np.linalg.norm(np.sort(steps)[:-1]))

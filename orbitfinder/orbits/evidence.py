@@ -113,6 +113,8 @@ class Motion:
     """y at the end less y at the start, where both are known in long double or better, as `transitions` are then"""
     precise: float = EPSILON
     """relative error that its integration makes"""
+    monodromy: np.ndarray | None = None
+    """Phi over the period (m x m) where the product of `transitions` is not as precise"""
 
     def reaching(self, path: np.ndarray) -> np.ndarray:
         """A path (k x m), as far as the motion goes."""
@@ -343,6 +345,8 @@ class Tour:
     """of what is not trivial (m x r each) where pieces begin; none where they are not known"""
     ended: np.ndarray | None = None
     """the gradients where the pieces end, if that is known"""
+    monodromy: np.ndarray | None = None
+    """the product of the pieces where these do not hold it"""
 
     def map(self) -> np.ndarray:
         """The root map without trivial multipliers (r x r)."""
@@ -362,13 +366,14 @@ class Tour:
         pieces, bases = self.pieces, self.bases or (self._start,)
         if noise is not None:
             pieces = [each + share * np.linalg.norm(each, 2) * noise.normal(size=each.shape) for each in pieces]
-        pieces = pieces if self.bases else [multiplied(pieces)]
+        pieces = pieces if self.bases else [multiplied(pieces) if self.monodromy is None else self.monodromy]
         ways = pairwise([*bases[: len(pieces)], bases[0]])
         return [(after.T @ piece @ before).astype(float) for piece, (before, after) in zip(pieces, ways, strict=True)]
 
     def inner(self) -> np.ndarray:
         """The root map with trivial multipliers, on what constraints leave."""
-        return np.asarray(self.basis.T @ multiplied(self.pieces) @ self.basis)
+        through = multiplied(self.pieces) if self.monodromy is None else self.monodromy
+        return np.asarray(self.basis.T @ through @ self.basis)
 
     @property
     def _start(self) -> np.ndarray:
@@ -533,7 +538,7 @@ def gather(
         exchanged=exchanged,
         growth=float(norms.max()),
         varied=float((norms[:, -1] * norms[0]).max()),
-        norm=float(np.linalg.norm(wholes[0])),
+        norm=float(np.linalg.norm(wholes[0] if loop.monodromy is None else loop.monodromy)),
         motion=motion,
     )
 
@@ -542,21 +547,24 @@ def _looped(model: Model, motion: Motion, units: np.ndarray, path: np.ndarray, p
     """The `Tour` of a motion of which a path (k x m) was looked at, in `units` (m)."""
     pieces, rate = in_extents(motion.transitions, units), None if model.forced else motion.rate * period / units
     ends = path[-1] - path[0] if motion.missed is None else motion.missed
-    missed, known = (ends - shift(motion.turns, units.size)) / units, motion.precise
+    missed = (ends - shift(motion.turns, units.size)) / units
     if model.rates is not None and motion.rates is not None and (idle := still(path)).any():
         each = rates_of(motion.rates)[0](np.linspace(0.0, period, len(path)), path) / units
         missed = np.where(idle, trapezoid(each, dx=period / (len(path) - 1), axis=0), missed)
     basis = tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size)
     kept, whole = motion.gradients * units, basis.size == units.size**2
-    closing = closes(missed, pieces, path / units, rate, kept, basis, known)
+    through = None if motion.monodromy is None else in_extents([motion.monodromy], units)[0]
+    closing = closes(missed, pieces, path / units, rate, kept, basis, motion.precise, through)
     if closing.distance > DOUBTFUL and motion.rates is not None and whole and units.size <= MOST:
         more = np.vstack([kept, _conserved(motion.rates, path, units, period)])
-        closing = replace(closing, distance=closes(missed, pieces, path / units, rate, more, None, known).distance)
+        again = closes(missed, pieces, path / units, rate, more, None, motion.precise, through)
+        closing = replace(closing, distance=again.distance)
         if closing.distance > DOUBTFUL and rate is not None:
             with suppress(IntegrationError):  # in double precision
                 closing = replace(closing, distance=min(closing.distance, _symmetric(model, motion, units)))
     ended = None if motion.ended is None else motion.ended * units
-    return Tour(closing, pieces, kept, motion.directions / units, symplectic(model), units, basis, ended=ended)
+    along = motion.directions / units
+    return Tour(closing, pieces, kept, along, symplectic(model), units, basis, ended=ended, monodromy=through)
 
 
 def _rounded(loop: Tour) -> bool:
@@ -568,20 +576,24 @@ def _rounded(loop: Tour) -> bool:
 def _sharpened(model: Model, motion: Motion, units: np.ndarray, quadruple: bool) -> Motion:
     """A motion with its states, end and transitions in long double or quadruple precision, if that can be had."""
     equations, period = Hamiltonian(model), float(motion.times[-1])
-    wide, plain = (
-        None if equations.field.stiff else extended(each, quadruple)
-        for each in (equations.variational, equations.field)
-    )
-    if wide is None or plain is None:
+    if equations.field.stiff:
         return motion
-    exact = plain.along(units, motion.path[0], motion.times, equations.field.free)
+    wide, plain = extended(equations.variational), extended(equations.field, quadruple)
+    deep = extended(equations.variational, True) if quadruple else wide
+    if wide is None or plain is None or deep is None:
+        return motion
+    path = plain.along(units, motion.path[0], motion.times, equations.field.free)
     at = np.searchsorted(motion.times, evenly(period)[:: SAMPLES // PIECES])
-    pieces, _, action = _pieces(equations, exact[at], units, period, wide)
-    missed, path, end = (exact[-1] - exact[0]).astype(float), exact.astype(float), exact[-1].astype(float)
+    pieces, _, action = _pieces(equations, path[at], units, period, wide)
+    monodromy, missed, path = None, (path[-1] - path[0]).astype(float), path.astype(float)
+    if quadruple:  # past encounters errors grow and shrink again by more than pieces hold
+        monodromy = varied_end(equations.variational, path[0], np.array([0.0, period]), units, 1.0, deep)[1].astype(
+            float
+        )
     return replace(
         motion, transitions=pieces, missed=missed, path=path, states=equations.states(path), action=action,
-        precise=QUADRUPLE if quadruple else ROUND_OFF,
-        ended=equations.frame(equations.states(end[None])[0], end)[0],
+        precise=QUADRUPLE if quadruple else ROUND_OFF, monodromy=monodromy,
+        ended=equations.frame(equations.states(path[-1:])[0], path[-1])[0],
     )  # fmt: skip
 
 
