@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import IntegrationError
+from orbitfinder.integrate import extended as extended_module
 from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.extended import ROUND_OFF, Extended, extended
 from orbitfinder.integrate.field import vector_field
@@ -142,3 +143,39 @@ def test_what_long_double_cannot_integrate_is_judged_in_double(monkeypatch):
     double = butterfly()
     assert double.motion.missed is None and known.motion.missed is not None
     assert double.closes.distance > 1e-9 > known.closes.distance
+
+
+@pytest.mark.usefixtures("deep")
+def test_without_a_compiler_of_cpp_the_numbers_are_the_compilers_own(monkeypatch):
+    """`_Float128` where sums of two doubles cannot be compiled, to the same digits."""
+    start, free, code = np.array([1.5, 0.0, 0.0, np.sqrt(2 / 3)]), np.array([2.0]), extended_module._code
+    sums = extended(vector_field(KEPLER, free), True).end(np.ones(4), start, (0.0, 4.0), free)
+    types = []
+
+    def refused(function, real, parts):
+        types.append(real)
+        return "#error no" if real == "Twofold" else code(function, real, parts)
+
+    monkeypatch.setattr(extended_module, "_code", refused)
+    own = extended(vector_field(KEPLER, free), True).end(np.ones(4), start, (0.0, 4.0), free)
+    assert types == ["Twofold", "_Float128"]
+    assert np.abs(sums - own).max() <= 4 * ROUND_OFF
+
+
+@pytest.mark.usefixtures("deep")
+def test_functions_of_two_doubles():
+    """Quadratures of what CasADi writes, beside long double's; divisions by 0 and roots of less are no numbers."""
+    time, state = ca.SX.sym("t"), ca.SX.sym("y", 6)
+    x = 0.3 + 0.1 * time
+    rates = ca.vertcat(
+        ca.sin(x) * ca.exp(x) / ca.cos(x), ca.atan2(x, 1 + x) + ca.tanh(x) + ca.log(x), ca.fabs(-x) ** 2.5 + ca.sqrt(x),
+        ca.if_else(x < 0.5, x, ca.fmax(x, 1.0)), ca.floor(x) - ca.sign(x) + ca.erf(x), -state[5] ** 3,
+    )  # fmt: skip
+    field = vector_field(ca.Function("functions", [time, state], [rates]))
+    begin, span = np.array([0, 0, 0, 0, 0, 1.0]), (0.0, 0.9)
+    ends = [extended(field, deep).end(np.ones(6), begin, span, None) for deep in (False, True)]
+    assert np.abs(ends[0] - ends[1]).max() < 1e-15
+    assert ends[1][5] == pytest.approx(float(1 / np.sqrt(np.longdouble(2.8))), rel=1e-15)
+    broken = ca.Function("broken", [time, state], [ca.sqrt(state - 2) / (state - state)])
+    with pytest.raises(IntegrationError):
+        extended(vector_field(broken), True).end(np.ones(6), begin, span, None)
