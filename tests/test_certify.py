@@ -315,13 +315,27 @@ def test_near_a_saddle_the_flow_is_kept_as_well_as_its_linearisation_can_be_know
 @pytest.mark.parametrize(("number", "error"), [(0, 1e-6), (50, 1e-12)])
 def test_a_wrong_linearisation_fails_trivial_multipliers(number, error, monkeypatch):
     """One of sixteen pieces is off by a share of its largest entry: near a saddle 1e-12 is seen, it grows to 1e-5."""
-    whole = evidence._pieces
+    whole, wider = evidence._pieces, evidence.extended
+    monkeypatch.setattr(evidence, "extended", lambda field, deep=False: None if deep else wider(field))
 
     def disturbed(*arguments):
         pieces, *more = whole(*arguments)
         return [piece + error * (k == 8) * np.abs(piece).max() for k, piece in enumerate(pieces)], *more
 
     monkeypatch.setattr(evidence, "_pieces", disturbed)
+    assert "trivial_multipliers" in certify(load_orbit(f"{STRAIGHT}#{number}")).failures
+
+
+@pytest.mark.parametrize("number", [0, 50])
+def test_a_wrong_linearisation_fails_in_quadruple_precision_too(number, monkeypatch):
+    """All of them are off by 1e-6 of their largest entry, that of the whole period too."""
+    own = evidence.varied_end
+
+    def disturbed(*arguments):
+        end, matrix, action = own(*arguments)
+        return end, matrix + 1e-6 * np.abs(matrix).max(), action
+
+    monkeypatch.setattr(evidence, "varied_end", disturbed)
     assert "trivial_multipliers" in certify(load_orbit(f"{STRAIGHT}#{number}")).failures
 
 
