@@ -27,7 +27,7 @@ from orbitfinder.integrate.field import CasadiField
 from orbitfinder.integrate.held import Shared
 
 ROUND_OFF = float(np.finfo(np.longdouble).eps)
-ALLOWED, QUADRUPLE, FIRST, AT_A_TIME, MOST = 64 * ROUND_OFF, 1e-26, 1 / 64, 64, 100
+ALLOWED, QUADRUPLE, FIRST, AT_A_TIME, MOST = 64 * ROUND_OFF, 1e-26, 1 / 64, 64, 1000
 """Errors of a step, in units; the first step, of the span; steps between two looks at the limit of time, so often"""
 BULIRSCH = 2, 4, 6, 8, 12, 16, 24, 32, 48, 64
 """Parts of a step, by which round-off is made no more than ten times as much"""
