@@ -236,9 +236,7 @@ def _through_impacts(orbit: Orbit, model: Model, turns: np.ndarray) -> tuple[Hyb
 def _smoothly(orbit: Orbit, model: Model, turns: np.ndarray) -> tuple[Evidence, float]:
     given = model, orbit.state, orbit.period, turned(model, turns, orbit.shift)
     moments = np.concatenate([times for _, times, _, _ in _pictured(orbit)])
-    smooth = gather(*given, moments)
-    if smooth.motion.missed is None and _multiplier_distance(orbit, smooth.floquet) > Tolerances.multipliers:
-        smooth = gather(*given, moments, doubted=True)
+    smooth = gather(*given, moments, doubts=lambda seen: _multiplier_distance(orbit, seen) > Tolerances.multipliers)
     return smooth, second_closure(*given, smooth.extents)
 
 

@@ -29,6 +29,7 @@ from itertools import accumulate
 import numpy as np
 
 from orbitfinder._runtime.sizes import EPSILON, nonzero
+from orbitfinder.integrate.extended import ROUND_OFF as LONG
 from orbitfinder.loops.symmetry import shifts_of
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.floquet import complement
@@ -37,10 +38,9 @@ LARGEST_SCALE = 1e6
 """Tolerances grow with A up to this factor; beyond, closure would mean nothing."""
 REACHES = 1e-3
 """Round-offs that one of another component makes in a component which it is said to drive"""
-MATRIX, LONG, STILL, SHAKEN = 1e-13, float(np.finfo(np.longdouble).eps), 1e-9, 3.0
-"""Relative errors of a state-transition matrix, as it is integrated and as long double holds it. A component that moves
-less than this share of its size loses what it does to the round-off of all steps; that of some 400 of others comes to
-so many eps"""
+MATRIX, STILL, SHAKEN = 1e-13, 1e-9, 3.0
+"""Relative error of a state-transition matrix, as it is integrated. A component that moves less than this share of its
+size loses what it does to the round-off of all steps; that of some 400 of others comes to so many eps"""
 TAKEN = 10.0
 """Round-offs of the state that a period takes up: 1 to 5 beside a pendulum's saddle"""
 ROUND_OFF = 30.0

@@ -494,10 +494,10 @@ def gather(
     turns: np.ndarray,
     moments: Sequence[float] | np.ndarray = (),
     settings: ReferenceSettings = TIGHTEST,
-    doubted: bool = False,
+    doubts: Callable[[Floquet], bool] = lambda _: False,
 ) -> Evidence:
     """The `Evidence` of a state (2n) and a period (s), the motion's states at further `moments` with it, in long double
-    also where nothing but the multipliers is `doubted`."""
+    also where there are `doubts` about nothing but the multipliers."""
     motion_of = system_kind(model.system).motion(model) or canonical_motion
     motion = motion_of(model, state, period, turns, np.unique(np.append(evenly(period), moments)), settings)
     at = np.searchsorted(motion.times, evenly(period))
@@ -507,7 +507,9 @@ def gather(
     loop = _looped(model, motion, units, path, period)
     plain = motion_of is canonical_motion and units.size <= MOST
     for quadruple in (False, True):
-        if not plain or loop.closes.distance >= FALSE or not (_rounded(loop) or (doubted and not quadruple)):
+        if not plain or loop.closes.distance >= FALSE:
+            break
+        if not _rounded(loop) and (quadruple or not doubts(analyse(loop.map(), loop.conservative))):
             break
         with suppress(IntegrationError):
             sharp = _sharpened(model, motion, units, quadruple)
