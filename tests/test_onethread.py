@@ -53,9 +53,9 @@ def test_searches_certificates_and_families_run_on_one_thread(monkeypatch):
     for module, name in ((solve, "measure"), (certifying, "gather")):
         original = getattr(module, name)
 
-        def watched(*arguments, original=original, name=name):
+        def watched(*arguments, original=original, name=name, **options):
             seen.append((name, threads()))
-            return original(*arguments)
+            return original(*arguments, **options)
 
         monkeypatch.setattr(module, name, watched)
     orbit = of.find_orbit(of.Problem(of.chain(1), of.Guess([1.0, 0.0], pendulum_period(1.0)), of.pin(theta1=1.0)))
