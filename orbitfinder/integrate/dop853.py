@@ -56,6 +56,8 @@ class Trace:
     drift: np.ndarray | float = 0.0
     field: CompiledField | None = None
     """of which the rates are, where it may be compiled"""
+    retaken: Callable[[np.ndarray], float] | None = None
+    """moments within a step -> how far the motion, known in more digits, moves when its steps end at these too"""
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """States at times from the first moment to the last, each by a step of DOP853 from that before."""

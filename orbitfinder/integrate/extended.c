@@ -33,7 +33,7 @@ int extrapolated(ptrdiff_t n, long double *state, long double *at, const double 
   RATE(t, 0, first)
   while (t < at[2] && left-- > 0) {
     const int last = t + 1.01L * h >= at[2];
-    if (last) h = at[2] - t;
+    h = (last ? at[2] : t + h) - t; /* what the clock moves by, or passages shorter than its round-off are lost */
     for (int row = 0; row < ROWS; row++) {
       const int parts = PARTS[row];
       const casadi_real part = h / parts;

@@ -77,11 +77,11 @@ class Extended:
     def along(
         self, units: np.ndarray, start: np.ndarray, times: np.ndarray, free: np.ndarray | None, first: float = 1.0
     ) -> np.ndarray:  # fmt: skip
-        """The states (k x n) of such a motion at times (k) from its start on."""
-        rows = [np.array([start, 0 * start], np.longdouble)]
+        """The states of such a motion at times (k) from its start on, as sums (k x 2 x n)."""
+        rows = [np.array([start, 0 * start] if np.ndim(start) == 1 else start, np.longdouble)]
         for span in pairwise(times):
             rows.append(self._end(units, rows[-1], span, free, first))
-        return np.array(rows)[:, 0]
+        return np.array(rows)
 
 
 def extended(field: CasadiField, quadruple: bool = False) -> Extended | None:

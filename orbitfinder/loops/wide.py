@@ -34,7 +34,7 @@ class Wide:
     def along(self, w: Unknowns, moments: np.ndarray, first: float = 1.0) -> np.ndarray:
         """The states (k x d) at moments (k, in periods)."""
         given = self.units, w.nodes[0], moments * w.period, self._free(w), first
-        return self.states.along(*given).astype(float)
+        return self.states.along(*given)[:, 0].astype(float)
 
     def varied(self, w: Unknowns) -> Varied:
         """The segment with its derivatives."""

@@ -172,6 +172,8 @@ def risen(
 def _retaken(trace: Trace, k: int, begin: float, end: float, longest: float) -> float:
     """How far the end of step k moves, in extents or what is larger of the states' own sizes, to which steps are taken,
     when short ones are from `begin` to `end`."""
+    if trace.retaken is not None:
+        return trace.retaken(np.linspace(begin, end, int(np.ceil((end - begin) / longest)) + 1))
     edges = [(trace.moments[k], begin, np.inf), (begin, end, longest), (end, trace.moments[k + 1], np.inf)]
     now = trace.states[k]
     for low, high, most in edges:

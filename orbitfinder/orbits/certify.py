@@ -237,7 +237,10 @@ def _smoothly(orbit: Orbit, model: Model, turns: np.ndarray) -> tuple[Evidence, 
     given = model, orbit.state, orbit.period, turned(model, turns, orbit.shift)
     moments = np.concatenate([times for _, times, _, _ in _pictured(orbit)])
     smooth = gather(*given, moments, doubts=lambda seen: _multiplier_distance(orbit, seen) > Tolerances.multipliers)
-    return smooth, second_closure(*given, smooth.extents)
+    second, scale = second_closure(*given, smooth.extents), min(smooth.closes.amplification, LARGEST_SCALE)
+    if second > Tolerances.second_closure * scale:  # by round-off, maybe
+        second = second_closure(*given, smooth.extents, smooth.motion.precise)
+    return smooth, second
 
 
 def _by_steps(orbit: Orbit, model: Model, _: np.ndarray) -> tuple[Recomputed, float]:

@@ -99,7 +99,7 @@ def closes(
 
 def _carrying(transitions: Sequence[np.ndarray], size: int, monodromy: np.ndarray | None) -> list[np.ndarray]:
     """What carries an error from the end, and from where each piece begins, to the end."""
-    later = [each.astype(float) for each in accumulate(reversed(transitions), np.matmul, initial=np.eye(size))]
+    later = list(accumulate(reversed(transitions), np.matmul, initial=np.eye(size)))
     return later if monodromy is None else [*later[:-1], monodromy]
 
 
@@ -114,7 +114,7 @@ def _late(
         np.column_stack([basis.T @ later[-1] @ basis - np.eye(rate.size), rate]),
         np.column_stack([rows, np.zeros(len(rows))]),
     ])  # fmt: skip
-    row = np.linalg.pinv(bordered)[-1, : rate.size] if np.isfinite(bordered).all() else 0 * rate
+    row = np.linalg.pinv(bordered.astype(float))[-1, : rate.size] if np.isfinite(bordered).all() else 0 * rate
     if not row @ rate > 0.5:  # which is 1
         return np.inf, 0.0
     row = basis @ row
@@ -156,6 +156,15 @@ def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.nd
     return later[0], largest if np.isfinite(largest) else np.inf
 
 
+def regrown(transitions: Sequence[np.ndarray]) -> float:
+    """What an error grows to in Phi that is made on the way, max over t of |Phi(T, t)| |Phi(t, 0)|."""
+    unit = np.eye(len(transitions[0]))
+    sooner = accumulate(transitions, lambda done, piece: piece @ done, initial=unit)
+    later = [*accumulate(reversed(transitions), np.matmul, initial=unit)]
+    ways = zip(sooner, reversed(later), strict=True)
+    return max(float(np.linalg.norm(before) * np.linalg.norm(after)) for before, after in ways)
+
+
 def distance(
     gap: np.ndarray, rows: tuple[np.ndarray, np.ndarray], transitions: Sequence[np.ndarray], states: np.ndarray,
     late: np.ndarray | None, precise: float = EPSILON, monodromy: np.ndarray | None = None,
@@ -173,7 +182,7 @@ def distance(
     columns = np.column_stack([first + last @ later[-1], *([] if late is None else [last @ late])])
     if not (np.isfinite(grown) and np.isfinite(columns).all() and np.isfinite(gap).all()):
         return np.inf, np.inf
-    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    left, singular, right = np.linalg.svd(columns.astype(float), full_matrices=False)
     size = np.where(still(states), np.abs(later[-1] - np.eye(size.size)) @ size / SHAKEN, size)
     hidden = np.max([np.linalg.norm(left.T @ last @ after * size, axis=1) for after in later], axis=0)
     along = np.abs(left.T @ gap)  # of which the error of the columns tilts so much from the others
@@ -181,15 +190,15 @@ def distance(
     begun = np.linalg.norm(left.T @ columns[:, : size.size] * size, axis=1)
     rounded = SHAKEN * (precise * hidden + (EPSILON - precise) * begun)
     beyond = np.maximum(along - precise * excused, 0.0) + rounded
-    lost = MATRIX * grown
-    if precise < EPSILON:  # pieces are in long double
-        sooner = accumulate(transitions, lambda done, piece: piece @ done, initial=np.eye(size.size))
-        ways = zip(sooner, reversed(later), strict=True)
-        lost = (LONG if monodromy is None else precise) * max(
-            float(np.linalg.norm(after) * np.linalg.norm(before)) for before, after in ways
-        )
+    lost = np.full(singular.shape, MATRIX * grown)
+    if precise < EPSILON:  # columns are in long double, of which the singular vectors leave little beside the diagonal
+        within = left.T @ columns @ right.T
+        singular, beside = np.abs(np.diag(within)), within - np.diag(np.diag(within))
+        tilted = (beside**2 + beside.T**2) / nonzero(np.abs(singular[:, None] - singular))
+        rounded = LONG * np.linalg.norm(columns) + EPSILON * np.linalg.norm(columns[:, size.size :])
+        lost = tilted.sum(axis=1) + rounded + (LONG if monodromy is None else precise) * regrown(transitions)
     known = singular - lost
-    steps = np.divide(beyond, known, out=np.full(known.shape, np.inf), where=known > 0)
+    steps = np.where(known > 0, beyond / nonzero(known), np.inf).astype(float)
     return float(np.linalg.norm(steps)), float(np.linalg.norm(np.sort(steps)[:-1]))
 
 

@@ -37,7 +37,7 @@ from orbitfinder.integrate.dop853 import (
     integrate_in,
 )
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
-from orbitfinder.integrate.extended import QUADRUPLE, ROUND_OFF, Extended, extended
+from orbitfinder.integrate.extended import FIRST, QUADRUPLE, ROUND_OFF, Extended, extended
 from orbitfinder.integrate.field import VectorField, expect, rates_of, vector_field
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.loops.symmetry import Involution, Symmetry, involutions, off_centre, symplectic, with_mirrors
@@ -45,7 +45,7 @@ from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, altered, constraint_of, energies
 from orbitfinder.mechanics.scales import Acts, acting, acting_in, extents, extents_of, masses_of, snapped
-from orbitfinder.orbits.closure import LARGEST_SCALE, Closure, carried, closes, distance, gap, shift, still
+from orbitfinder.orbits.closure import LARGEST_SCALE, Closure, closes, distance, gap, regrown, shift, still
 from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, symplectic_unit
 from orbitfinder.orbits.product import lost, product
 
@@ -113,8 +113,8 @@ class Motion:
     """y at the end less y at the start, where both are known in long double or better, as `transitions` are then"""
     precise: float = EPSILON
     """relative error that its integration makes"""
-    monodromy: np.ndarray | None = None
-    """Phi over the period (m x m) where the product of `transitions` is not as precise"""
+    through: np.ndarray | None = None
+    """Phi over half the period and over the period (2 x m x m) where products of `transitions` are not as precise"""
 
     def reaching(self, path: np.ndarray) -> np.ndarray:
         """A path (k x m), as far as the motion goes."""
@@ -297,14 +297,15 @@ def varied_end(
     settings: ReferenceSettings | Extended,
 ) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
     """Where a motion (m) ends, its state-transition matrix (m x m) and its action, by the field of all three, measured
-    in units (m) and in `work`."""
+    in units (m) and in `work`; matrices to all of several times (k x m x m)."""
     measures = np.concatenate([units, (units[:, None] / units).ravel("F"), [work]])
     begin, size = np.concatenate([start, np.eye(start.size).ravel(), [0.0]]), start.size
     if isinstance(settings, Extended):
-        end = settings.end(measures, begin, span, getattr(field, "free", None))
+        rows = settings.along(measures, begin, span, getattr(field, "free", None), FIRST)[:, 0]
     else:
-        end = integrate_in(measures, field, begin, span, settings)[-1]
-    return end[:size], end[size:-1].reshape(size, size, order="F"), float(end[-1])
+        rows = integrate_in(measures, field, begin, span, settings)
+    through = rows[1:, size:-1].reshape(-1, size, size).swapaxes(1, 2)
+    return rows[-1, :size], through if len(span) > 2 else through[0], float(rows[-1, -1])
 
 
 def evenly(period: float) -> np.ndarray:
@@ -507,7 +508,8 @@ def gather(
     loop = _looped(model, motion, units, path, period)
     plain = motion_of is canonical_motion and units.size <= MOST
     for quadruple in (False, True):
-        if not plain or loop.closes.distance >= FALSE:
+        told = motion.precise * regrown(loop.pieces) <= KEPT  # or round-off is more than what is asked of Phi
+        if not plain or (told and loop.closes.distance >= FALSE):
             break
         if not _rounded(loop) and (quadruple or not doubts(analyse(loop.map(), loop.conservative))):
             break
@@ -516,7 +518,7 @@ def gather(
             if sharp is not motion:
                 motion, path, states = sharp, sharp.path[at], sharp.states[at]
                 loop = _looped(model, motion, units, path, period)
-    # the largest |Phi(t, s)| between the ends of any two pieces, and the largest |Phi(T, t)| |Phi(t, 0)|
+    # the largest |Phi(t, s)| between the ends of any two pieces
     count, size = len(loop.pieces), len(loop.pieces[0])
     norms, wholes = np.ones((count + 1, count + 1)), np.empty((0, size, size))
     for end, piece in enumerate(loop.pieces, 1):  # from the start of each piece to that of another
@@ -539,7 +541,7 @@ def gather(
         drift=float(np.abs(total - total[0]).max()) / exchanged,
         exchanged=exchanged,
         growth=float(norms.max()),
-        varied=float((norms[:, -1] * norms[0]).max()),
+        varied=regrown(loop.pieces),
         norm=float(np.linalg.norm(wholes[0] if loop.monodromy is None else loop.monodromy)),
         motion=motion,
     )
@@ -555,17 +557,18 @@ def _looped(model: Model, motion: Motion, units: np.ndarray, path: np.ndarray, p
         missed = np.where(idle, trapezoid(each, dx=period / (len(path) - 1), axis=0), missed)
     basis = tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size)
     kept, whole = motion.gradients * units, basis.size == units.size**2
-    through = None if motion.monodromy is None else in_extents([motion.monodromy], units)[0]
+    through = None if motion.through is None else in_extents(motion.through, units)[1]
     closing = closes(missed, pieces, path / units, rate, kept, basis, motion.precise, through)
     if closing.distance > DOUBTFUL and motion.rates is not None and whole and units.size <= MOST:
         more = np.vstack([kept, _conserved(motion.rates, path, units, period)])
         again = closes(missed, pieces, path / units, rate, more, None, motion.precise, through)
         closing = replace(closing, distance=again.distance)
         if closing.distance > DOUBTFUL and rate is not None:
-            with suppress(IntegrationError):  # in double precision
+            with suppress(IntegrationError):
                 closing = replace(closing, distance=min(closing.distance, _symmetric(model, motion, units)))
     ended = None if motion.ended is None else motion.ended * units
     along = motion.directions / units
+    through = None if through is None else through.astype(float)
     return Tour(closing, pieces, kept, along, symplectic(model), units, basis, ended=ended, monodromy=through)
 
 
@@ -584,19 +587,38 @@ def _sharpened(model: Model, motion: Motion, units: np.ndarray, quadruple: bool)
     deep = extended(equations.variational, True) if quadruple else wide
     if wide is None or plain is None or deep is None:
         return motion
-    path = plain.along(units, motion.path[0], motion.times, equations.field.free)
+    sums = plain.along(units, motion.path[0], motion.times, equations.field.free)
+    path, missed = sums[:, 0].astype(float), (sums[-1] - sums[0]).sum(axis=0).astype(float)
+    trace = drifting(_traced(equations.field, plain, units, sums, motion.times), motion.turns, units)
     at = np.searchsorted(motion.times, evenly(period)[:: SAMPLES // PIECES])
-    pieces, _, action = _pieces(equations, path[at], units, period, wide)
-    monodromy, missed, path = None, (path[-1] - path[0]).astype(float), path.astype(float)
+    pieces, _, action = _pieces(equations, sums[at, 0], units, period, wide)
+    through = None
     if quadruple:  # past encounters errors grow and shrink again by more than pieces hold
-        monodromy = varied_end(equations.variational, path[0], np.array([0.0, period]), units, 1.0, deep)[1].astype(
-            float
-        )
+        halves = period * np.array([0.0, 0.5, 1.0])
+        through = varied_end(equations.variational, sums[0, 0], halves, units, 1.0, deep)[1]
     return replace(
-        motion, transitions=pieces, missed=missed, path=path, states=equations.states(path), action=action,
-        precise=QUADRUPLE if quadruple else ROUND_OFF, monodromy=monodromy,
+        motion, transitions=pieces, missed=missed, path=path, states=equations.states(path), action=action, trace=trace,
+        precise=QUADRUPLE if quadruple else ROUND_OFF, through=through,
         ended=equations.frame(equations.states(path[-1:])[0], path[-1])[0],
     )  # fmt: skip
+
+
+def _traced(field: VectorField, by: Extended, units: np.ndarray, sums: np.ndarray, times: np.ndarray) -> Trace:
+    """The steps of DOP853 beside a motion that is known in more digits at its times (k, sums: k x 2 x m), from each of
+    these to the next."""
+    traces, path = list[Trace](), sums[:, 0].astype(float)
+    for start, (begin, end) in zip(path, pairwise(times), strict=False):
+        integrate_in(units, field, start, np.array([begin, (begin + end) / 2, end]), TIGHTEST, np.inf, traces)
+
+    def retaken(moments: np.ndarray) -> float:
+        k = int(np.searchsorted(times, moments[0], side="right")) - 1
+        steps = np.unique([times[k], *moments, times[k + 1]])
+        ends = by.along(units, sums[k], steps, getattr(field, "free", None))
+        return float((np.abs((ends[-1] - sums[k + 1]).sum(axis=0)) / np.maximum(units, np.abs(path[k + 1]))).max())
+
+    moments = np.append(np.concatenate([each.moments[:-1] for each in traces]), times[-1])
+    states = np.vstack([*(each.states[:-1] for each in traces), path[-1] / units])
+    return replace(traces[0], moments=moments, states=states, retaken=retaken)
 
 
 def _conserved(field: VectorField, path: np.ndarray, units: np.ndarray, period: float) -> np.ndarray:
@@ -634,18 +656,36 @@ def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
     own = [*filter(has, involutions(with_mirrors(model)))]
     back, forth = ([each for each in own if each.sense == sense] for sense in (-1, 1))
     forth += [last.after(first) for last, first in combinations(back, 2) if not (last.order or first.order)]
-    for begin in back:
-        start = _centred(begin, motion, field, model)
-        again = canonical_motion(model, start, period, motion.turns, evenly(period), TIGHTEST)
+    off = {each: float(np.abs(off_centre(each, motion.states[:1], model.angular)).max()) for each in back}
+    equations = Hamiltonian(model)
+    for begin in sorted(back, key=off.__getitem__):
+        again = motion
+        if motion.precise == EPSILON or off[begin] > ROUNDED * np.abs(motion.states).max():
+            start = _centred(begin, motion, field, model)
+            again = canonical_motion(model, start, period, motion.turns, evenly(period), TIGHTEST)
         for symmetry in (Symmetry((begin, *more), model.rates is not None) for more in ((), *zip(forth))):
-            path, pieces = again.path[: SAMPLES // symmetry.parts + 1], again.transitions[: PIECES // symmetry.parts]
+            at = np.searchsorted(again.times, evenly(period)[: SAMPLES // symmetry.parts + 1])
+            path, pieces = again.path[at], again.transitions[: PIECES // symmetry.parts]
             (first, last), pieces = symmetry.rows(n), in_extents(pieces, units)
             constant = symmetry.constants(model.angular, path[0], path[-1], motion.turns)
             sizes = ((np.abs(first) + np.abs(last)) * units).max(axis=1)[:, None]
-            late = carried(pieces, np.ones(units.size))[0] @ (again.rate / units) * period / symmetry.parts
             missed = (first @ path[0] + last @ path[-1] - constant) / sizes[:, 0]
-            asked = first * units / sizes, last * units / sizes
-            least = min(least, distance(missed, asked, pieces, path / units, late)[0])
+            whole = in_extents(again.through, units)[0] if again.through is not None and symmetry.parts == 2 else None
+            through = multiplied(pieces) if whole is None else whole.astype(float)
+            if np.abs(missed).max() > FALSE * max(1.0, np.linalg.norm(through)):
+                continue
+            late = through @ (again.rate / units) * period / symmetry.parts
+            asked = np.hstack([first * units / sizes, last * units / sizes])
+            ended = equations.frame(equations.states(path[-1:])[0], path[-1])[0]
+            same = np.hstack([-again.gradients, ended]) * np.tile(units, 2)  # what rows ask of both ends and is kept
+            told = np.linalg.lstsq(asked.T, same.T)[0]
+            told = told[:, np.linalg.norm(asked.T @ told - same.T, axis=0) <= KNOWN * np.linalg.norm(same, axis=1)]
+            frame = complement(told.T, told.T)
+            rows = np.split(frame.T @ asked, 2, axis=1)
+            apart = distance(frame.T @ missed, rows, pieces, path / units, late, again.precise, whole)
+            least = min(least, apart[0])
+            if least <= DOUBTFUL:
+                return least
     return least
 
 
@@ -803,14 +843,19 @@ def _volume(
     return first + last, off + more, end
 
 
-def second_closure(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:
-    """Closure in `units` (2n) of the accelerations themselves at a second tolerance: other equations, other steps.
+def second_closure(
+    model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray, precise: float = EPSILON
+) -> float:  # fmt: skip
+    """Closure in `units` (2n) of the accelerations themselves at a second tolerance, or as precise as that: other
+    equations, other steps.
 
     Under a forcing the next period is gone through: what the forces do in the first one only does not come back.
     """
     field, begin = vector_field(accelerations(model)), period if model.forced else 0.0
-    ends = integrate_in(units, field, state, np.array([begin, begin + period]), SECOND)
-    return gap(ends[0], ends[-1], turns, units)
+    span = np.array([begin, begin + period])
+    if precise < EPSILON and (by := extended(field, precise < ROUND_OFF)):
+        return gap(state, by.end(units, state, span, field.free), turns, units)
+    return gap(state, integrate_in(units, field, state, span, SECOND)[-1], turns, units)
 
 
 def native_closure(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:
