@@ -13,6 +13,7 @@ from orbitfinder.loops.mesh import stepped
 from orbitfinder.loops.shooting import flow_of
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.newton import Settings, full, natural
+from orbitfinder.orbits import refine
 from orbitfinder.orbits.refine import uneven
 from orbitfinder.systems import three_bodies
 
@@ -110,8 +111,21 @@ def test_free_falls_are_certified_in_long_double(name):
 
 
 @pytest.mark.slow
-def test_what_no_precision_closes_is_said():
+@pytest.mark.filterwarnings("ignore:invariants")
+def test_what_mirrors_tell_of_an_orbit_with_a_double_unit_multiplier():
+    """Butterfly IV passes within 1e-9 of the period; without its mirrors a singular value of 8e-14 is left."""
+    orbit = of.find_orbit(printed("butterfly IV", 0.350112, 0.079339, 79.475859))
+    assert orbit.period == pytest.approx(79.475859, rel=2e-5) and orbit.certificate.passed
+    checks = {check.name: check.value for check in orbit.certificate.checks}
+    assert checks["distance"] < 1e-12 and checks["resolution"] < 1e-12
+    for wrong in (replace(orbit, period=orbit.period * (1 + 1e-8)), replace(orbit, state=orbit.state + 1e-8)):
+        assert not of.certify(wrong, three_bodies()).passed
+
+
+@pytest.mark.slow
+def test_what_no_precision_closes_is_said(monkeypatch):
     """Errors on the way of butterfly IV grow to more than the motion; every method says why it stopped."""
+    monkeypatch.setattr(refine, "wide", lambda *_: None)  # without a compiler
     said = r"(?s)mirror-Rx-Ry: .* grow \de\+1\d times, so double .*; Newton.s .*, symmetry none: .*; IPOPT: "
     with pytest.raises(ConvergenceError, match=said):
         of.find_orbit(printed("butterfly IV", 0.350112, 0.079339, 79.475859))

@@ -14,6 +14,9 @@ from orbitfinder.integrate.field import vector_field
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import NONE, SYMMETRIES
 from orbitfinder.loops.wide import wide
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.orbits import evidence
+from orbitfinder.orbits.between import overlooked
 from orbitfinder.orbits.evidence import Evidence, gather
 from orbitfinder.systems import three_bodies
 
@@ -179,3 +182,17 @@ def test_functions_of_two_doubles():
     broken = ca.Function("broken", [time, state], [ca.sqrt(state - 2) / (state - state)])
     with pytest.raises(IntegrationError):
         extended(vector_field(broken), True).end(np.ones(6), begin, span, None)
+
+
+@pytest.mark.usefixtures("deep")
+@pytest.mark.parametrize("kicked", [False, True])
+def test_a_force_far_narrower_than_a_step_is_found(kicked):
+    """2e-6 of the motion wide, where long double passes it by too; that takes its steps again by short ones."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    kick = kicked * 6.8e-3 / (5e-6 * np.sqrt(np.pi)) * ca.exp(-(((q - 0.77) / 5e-6) ** 2)) * v
+    model, state, whole = lagrange(v**2 / 2, q**2 / 2, Symbols(q, v), forces=kick), np.array([1.0, 0.0]), 2 * np.pi
+    motion = evidence.canonical_motion(model, state, whole, np.zeros(1), evidence.evenly(whole), evidence.TIGHTEST)
+    sharp = evidence._sharpened(model, motion, np.ones(2), False)
+    assert np.abs(sharp.trace.states[-1] - [np.cos(whole), -np.sin(whole)]).max() < 1e-18
+    changed = overlooked(sharp.trace)[0]
+    assert changed > 1e-3 if kicked else changed == 0.0
