@@ -200,7 +200,12 @@ class Search:
     def _hand_out(self, workers: Workers) -> bool:
         """Give starts to idle workers; True while more are wanted."""
         while self._wanted():
-            room, size = workers.room, self._size
+            # how many starts are made side by side, by the time that the latest have taken
+            latest, budget = self._latest, self._limits.budget
+            turn = TURN if budget is None else min(TURN, budget - self.statistics.elapsed)
+            first = FIRST if self._context.controlled is None else 1
+            size = int(np.clip(turn * len(latest) / (sum(latest) + 1e-3), 1, TOGETHER)) if latest else first
+            room = workers.room
             if not (room > 0 and len(self._unjudged) < AHEAD * (self._under_way // size + room)):
                 return True
             left = size if self._limits.starts is None else -(-(self._limits.starts - self._next) // room)
@@ -211,14 +216,6 @@ class Search:
                 self._next = next(self._numbers)
             self._submit(workers, jobs)
         return False
-
-    @property
-    def _size(self) -> int:
-        """How many starts are made side by side, by the time that the latest have taken."""
-        latest, budget = self._latest, self._limits.budget
-        turn = TURN if budget is None else min(TURN, budget - self.statistics.elapsed)
-        first = FIRST if self._context.controlled is None else 1
-        return int(np.clip(turn * len(latest) / (sum(latest) + 1e-3), 1, TOGETHER)) if latest else first
 
     def _submit(self, workers: Workers, jobs: Sequence[Job]) -> None:
         workers.submit(jobs)
@@ -247,10 +244,6 @@ class Search:
             assert attempt.signature is not None and number is not None
             self._atlas.remember(number, attempt.signature)
             workers.learn(attempt.signature.numbers)
-        self._count(outcome, attempt)
-        return True
-
-    def _count(self, outcome: str, attempt: Attempt) -> None:
         statistics = self.statistics
         statistics.done += 1
         self._latest.append(attempt.seconds)
@@ -263,6 +256,7 @@ class Search:
         limit.note(f"{statistics.done} starts of this run are in the atlas; the same search goes on from there")
         if self._progress:
             self._progress(statistics)
+        return True
 
 
 def record(atlas: Atlas, search: int, attempt: Attempt) -> tuple[str, int | None]:

@@ -316,7 +316,14 @@ def _prove_branch(
     target = file.parent / "branch-proof.json"
     if record:
         check_writable(file.parent, "--record")
-        _keep_wider(target, low, high)
+        # a proof that is there of more than this is kept
+        known = None
+        with suppress(InputError):  # damaged, of an older version, or none
+            known = load(target)
+        if known is not None and known.proved and not low <= known.low <= known.high <= high:
+            there, wanted = (f"{ends[0]!r} to {ends[1]!r}" for ends in ((known.low, known.high), (low, high)))
+            raise InputError(f"{target}: from: {there} is proved there, and {wanted} asked for; that is not written "
+                             "over: give a wider range, --no-record, or move that file")  # fmt: skip
     model = provable_model(family.points[0], trusted(file, trust))
     branch = prove_branch(family, low, high, model, partial(_say, family.name), given.get("symmetry"))
     interrupt.check()
@@ -325,17 +332,6 @@ def _prove_branch(
     _print_branch(f"{file} ({family.name})", branch)
     passed = branch.proved and all(passage.proved for passage in branch.passages)
     finish("proof", {"passed": passed} | branch_document(branch), passed)
-
-
-def _keep_wider(file: Path, low: float, high: float) -> None:
-    """`InputError` where the proof is there of what a new one would leave out."""
-    known = None
-    with suppress(InputError):  # damaged, of an older version, or none
-        known = load(file)
-    if known is not None and known.proved and not low <= known.low <= known.high <= high:
-        there, wanted = (f"{ends[0]!r} to {ends[1]!r}" for ends in ((known.low, known.high), (low, high)))
-        raise InputError(f"{file}: from: {there} is proved there, and {wanted} asked for; that is not written over: "
-                         "give a wider range, --no-record, or move that file")  # fmt: skip
 
 
 def _prove_rest(files: tuple[Path, ...], known: set[str], record: bool, trust: bool, given: Entries) -> None:

@@ -55,15 +55,6 @@ def _parquet(columns: Table, told: Told, system: str) -> bytes:
     return sink.getvalue()
 
 
-def _told(columns: Table, model: Model) -> Told:
-    """The unit of each column of a system's table that has a unit."""
-    words, n = units(model.system), model.degrees_of_freedom
-    own = {**dict(zip(model.state_names[:n], unit_names(model), strict=True)), **given_units(model.system)}
-    own |= {"period": words["time"], "energy": words["energy"], "action": words["action"]}
-    words = {name: own.get(re.sub("^(amplitude|min|max)_", "", name), "") for name in columns}
-    return {name: (unit, "") for name, unit in words.items() if unit}
-
-
 def refuse_another(target: Path, content: bytes) -> None:
     """`InputError` where a CSV file would replace a table of other columns, which is another record's."""
     if target.suffix == ".csv" and target.is_file():
@@ -85,7 +76,12 @@ def export_table(record: Any, to: str, folder: Path, model: Model) -> list[Path]
         if target.exists() and kind_of(target):
             raise InputError(f"--out: {target} is a record, which a table would replace; give another folder")
         if of == "points" or len(next(iter(columns.values()))):
-            content = table_bytes(columns, to, _told(columns, model), record.system)
+            words, n = units(model.system), model.degrees_of_freedom
+            own = {**dict(zip(model.state_names[:n], unit_names(model), strict=True)), **given_units(model.system)}
+            own |= {"period": words["time"], "energy": words["energy"], "action": words["action"]}
+            words = {name: own.get(re.sub("^(amplitude|min|max)_", "", name), "") for name in columns}
+            told = {name: (unit, "") for name, unit in words.items() if unit}
+            content = table_bytes(columns, to, told, record.system)
             refuse_another(target, content)
             write_atomically(target, content)
             written.append(target)

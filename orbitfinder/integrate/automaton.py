@@ -151,18 +151,15 @@ class Automaton:
             if arc.ended_by is None:
                 return
             lengths.append(arc.duration)
-            self._check_zeno(lengths, arc)
+            last, nothing = lengths[-WATCHED.zeno :], WATCHED.nothing * sum(lengths)
+            if len(last) == WATCHED.zeno and all(b < a for a, b in pairwise(last)) and last[-1] < nothing:
+                raise IntegrationError(
+                    f"Zeno: events {arc.ended_by} follow each other ever faster and accumulate at t = "
+                    f"{arc.times[-1]:.6g} s; give the model a mode in which contact lasts",
+                    time=float(arc.times[-1]), state=arc.after,
+                )  # fmt: skip
             by = arc.ended_by
             x, t, mode = arc.after, float(arc.times[-1]), self.hybrid.transition(arc.ended_by).target
-
-    def _check_zeno(self, lengths: Sequence[float], arc: Arc) -> None:
-        last, nothing = lengths[-WATCHED.zeno :], WATCHED.nothing * sum(lengths)
-        if len(last) == WATCHED.zeno and all(b < a for a, b in pairwise(last)) and last[-1] < nothing:
-            raise IntegrationError(
-                f"Zeno: events {arc.ended_by} follow each other ever faster and accumulate at t = {arc.times[-1]:.6g} "
-                "s; give the model a mode in which contact lasts",
-                time=float(arc.times[-1]), state=arc.after,
-            )  # fmt: skip
 
     @np.errstate(over="ignore", invalid="ignore")
     def _arc(self, x: np.ndarray, t: float, until: float, mode: str, by: str) -> Arc:

@@ -201,7 +201,15 @@ class Problem(Shown):
                 object.__setattr__(self, "guess", replace(self.guess, state=state))
             if self.winding is not None and len(self.winding) == links:
                 object.__setattr__(self, "winding", tuple(k for turn in self.winding for k in (0, 0, turn)))
-        self._settle()
+        # guessed values of freed parameters, and pins of others, become the model's
+        check_guessed(self.guess, self.free)
+        pinned = {pin.name: pin.value for pin in self.pin if is_parameter(self.model, pin.name)}
+        fixed = {name: value for name, value in pinned.items() if name not in self.free}
+        values = {**{name: float(value) for name, value in self.guess.free.items()}, **pinned}
+        if values:
+            object.__setattr__(self, "model", with_parameters(self.model, values))
+            object.__setattr__(self, "guess", replace(self.guess, free={}))
+            object.__setattr__(self, "pin", tuple(pin for pin in self.pin if pin.name not in fixed))
         if not self.model.smooth:
             _check_hybrid(self)
             if not self.model.cycle:  # it is that of the guess's motion
@@ -225,17 +233,6 @@ class Problem(Shown):
         if taken := sorted(set(self.free) & set(self.model.controls)):
             raise InputError(f"free: {taken[0]!r} is a control and varies in time; leave it out")
         object.__setattr__(self, "model", actuated(self.model))
-
-    def _settle(self) -> None:
-        """Guessed values of freed parameters, and pins of others, become the model's."""
-        check_guessed(self.guess, self.free)
-        pinned = {pin.name: pin.value for pin in self.pin if is_parameter(self.model, pin.name)}
-        fixed = {name: value for name, value in pinned.items() if name not in self.free}
-        values = {**{name: float(value) for name, value in self.guess.free.items()}, **pinned}
-        if values:
-            object.__setattr__(self, "model", with_parameters(self.model, values))
-            object.__setattr__(self, "guess", replace(self.guess, free={}))
-            object.__setattr__(self, "pin", tuple(pin for pin in self.pin if pin.name not in fixed))
 
     @property
     def boundary(self) -> Symmetry:

@@ -33,7 +33,7 @@ from orbitfinder.mechanics.scales import extents_of, snapped
 from orbitfinder.orbits.between import Rates, overlooked, risen
 from orbitfinder.orbits.closure import closes, gap, shift, shift_along
 from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Recomputed, StatesAt, Tour, in_extents, varied_end
-from orbitfinder.orbits.floquet import AREA, Floquet, analyse, generated
+from orbitfinder.orbits.floquet import AREA, analyse, generated
 from orbitfinder.orbits.measure import recorded
 from orbitfinder.records.orbit import Orbit
 
@@ -165,6 +165,9 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     identity, motion = np.eye(units.size), (times, states)
     loop = Tour(found, pieces, slopes, directions, False, units, identity, motion=motion, ended=ended)
     drift, balance = _energies(model, arcs)
+    # multipliers come in reciprocal pairs only where the resets keep areas too
+    reduced = loop.map()
+    area = abs(float(np.linalg.det(reduced))) if reduced.size else 1.0
     return HybridEvidence(
         times=times,
         states=states,
@@ -173,7 +176,7 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
         closure=gap(state, end, turns),
         action=action,
         energy=energy(model, state),
-        floquet=_multipliers(loop),
+        floquet=analyse(reduced, conservative=bool(len(loop.gradients)) and abs(area - 1.0) < AREA),
         arcs=tuple(arcs),
         period=period,
         drift=drift,
@@ -227,13 +230,6 @@ def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:
         refined.state[None], found.times, found.states, refined.unfolding, found.action, found.floquet,
         problem.symmetry,
     )  # fmt: skip
-
-
-def _multipliers(loop: Tour) -> Floquet:
-    """The multipliers of a hybrid orbit; they come in reciprocal pairs only where the resets keep areas too."""
-    reduced = loop.map()
-    area = abs(float(np.linalg.det(reduced))) if reduced.size else 1.0
-    return analyse(reduced, conservative=bool(len(loop.gradients)) and abs(area - 1.0) < AREA)
 
 
 def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:

@@ -381,7 +381,11 @@ class _Components:
             name = self._name(node.getName())
             return f"{name}({', '.join(text for text, _ in parts)})" if parts else name, 8
         if means == "FUNCTION_PIECEWISE":
-            return self._piecewise(parts, where), 8
+            texts = [text for text, _ in parts]
+            if len(texts) % 2 == 0:
+                raise self.fault(where, "a piecewise without otherwise; say what it is elsewhere")
+            pieces = zip(texts[-3::-2], texts[-2::-2], strict=True)
+            return reduce(lambda rest, piece: f"if({piece[1]}, {piece[0]}, {rest})", pieces, texts[-1]), 8
         if means == "LOGICAL_NOT" and len(parts) == 1:
             return f"not ({parts[0][0]})", 2
         if means in ("FUNCTION_MAX", "FUNCTION_MIN") and parts:
@@ -413,14 +417,6 @@ class _Components:
             return " and ".join(pairs), 3 if len(pairs) == 1 else 1
         first, *others = parts
         return sign.join([_closed(first, level + (level == 7)), *(_closed(each, level + 1) for each in others)]), level
-
-    def _piecewise(self, parts: list[tuple[str, int]], where: str) -> str:
-        """if(condition, value, ...), from the last piece on."""
-        texts = [text for text, _ in parts]
-        if len(texts) % 2 == 0:
-            raise self.fault(where, "a piecewise without otherwise; say what it is elsewhere")
-        pieces = zip(texts[-3::-2], texts[-2::-2], strict=True)
-        return reduce(lambda rest, piece: f"if({piece[1]}, {piece[0]}, {rest})", pieces, texts[-1])
 
 
 @cache

@@ -565,16 +565,6 @@ def reverted(event: Event) -> Event:
     return replace(event, detail=BECOMES[event.detail == BECOMES[0]]) if changes else event
 
 
-def _listed(family: Family) -> Family:
-    """A family whose changes of stability are in the order of its points: older files say of those before its start how
-    it was followed there, away from it."""
-    backwards = [
-        event.arclength < 0 and event.detail in BECOMES and (after == "unstable") != (event.detail == BECOMES[1])
-        for event, (_, after) in zip(family.events, family.sides, strict=True)
-    ]
-    return replace(family, events=tuple(map(reverted, family.events))) if any(backwards) else family
-
-
 @dataclass(frozen=True)
 class _Header:
     """The first line of a journal."""
@@ -712,9 +702,14 @@ def load_family(path: str | Path) -> Family:
             raise InputError(f"{source}: ends[{k}].{fault}; {AGAIN}")
     about = family.name, family.system, family.curve
     try:
-        return replace(
-            _listed(family), points=tuple(situated(point, k, *about) for k, point in enumerate(family.points))
-        )
+        # older files say of the changes of stability before the start how the family was followed there, away from it
+        backwards = [
+            event.arclength < 0 and event.detail in BECOMES and (after == "unstable") != (event.detail == BECOMES[1])
+            for event, (_, after) in zip(family.events, family.sides, strict=True)
+        ]
+        events = tuple(map(reverted, family.events)) if any(backwards) else family.events
+        points = tuple(situated(point, k, *about) for k, point in enumerate(family.points))
+        return replace(family, events=events, points=points)
     except (TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{source}: curve or system: {error}; {AGAIN}") from error
 

@@ -70,7 +70,10 @@ def reproduce(folder: str | Path, fresh: bool = False, report: Report | None = N
 def _once(part: Part, out: Path, fresh: bool) -> Entries:
     """A part's numbers, from its record when that was made by the same code."""
     record = out / "numbers" / f"{part.name}.json"
-    key = fingerprint(part)
+    module = import_module(part.module)
+    assert module.__file__ is not None
+    source = Path(module.__file__).read_bytes()
+    key = hashlib.sha256(__version__.encode() + part.function.encode() + source).hexdigest()[:16]
     if not fresh and record.is_file():
         try:
             known = json.loads(record.read_text(encoding="utf-8"))
@@ -82,14 +85,6 @@ def _once(part: Part, out: Path, fresh: bool) -> Entries:
     text = json.dumps({"key": key, "numbers": numbers}, indent=1, sort_keys=True)
     write_atomically(record, (text + "\n").encode())
     return dict(json.loads(text)["numbers"])  # as a later run will read it
-
-
-def fingerprint(part: Part) -> str:
-    """Digest of the version and of the source of the part's module."""
-    module = import_module(part.module)
-    assert module.__file__ is not None
-    source = Path(module.__file__).read_bytes()
-    return hashlib.sha256(__version__.encode() + part.function.encode() + source).hexdigest()[:16]
 
 
 Numbers = dict[str, Any]

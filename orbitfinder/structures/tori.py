@@ -387,7 +387,14 @@ class _Keeping:
         """The Torus. Raises `ConvergenceError` where its curve needs more states."""
         if unresolved(point.w.curve / self.ring.units) > RESOLVED:
             raise ConvergenceError(f"a torus needs more than {len(point.w.curve)} states")
-        record = _recorded(point)
+        w, ring = point.w, point.problem
+        p = ring.equations
+        energy = ring.value(w, "energy") if p.model.conservative else np.nan
+        measured = w.curve / ring.units
+        free = {name: float(value) for name, value in zip(p.free, w.free, strict=True)}
+        record = Torus(
+            w.curve, w.period, float(w.angle / (2 * np.pi) % 1.0), energy, unresolved(measured), strip(measured), free
+        )
         return certify_torus(record, self.model) if self.certify else record
 
     def write(self, point: Point, record: Torus) -> Entries:
@@ -406,17 +413,6 @@ class _Keeping:
         if tangent.shape != w.vector.shape:
             raise ValueError("a tangent of another size")
         return Point(ring, w, tangent, float(entry["arclength"]), float(entry["step"])), record
-
-
-def _recorded(point: Point) -> Torus:
-    w, ring = point.w, point.problem
-    p = ring.equations
-    energy = ring.value(w, "energy") if p.model.conservative else np.nan
-    measured = w.curve / ring.units
-    free = {name: float(value) for name, value in zip(p.free, w.free, strict=True)}
-    return Torus(
-        w.curve, w.period, float(w.angle / (2 * np.pi) % 1.0), energy, unresolved(measured), strip(measured), free
-    )
 
 
 def _ended(curve: SolutionCurve, asked: str, until: float | None, most: int) -> str:
