@@ -287,7 +287,7 @@ def minimal(context: Context, loop: ClosedLoop) -> Course[ClosedLoop]:
     whole = np.append(loop.problem.turns, loop.problem.forcing_cycles)
     covers = np.arange(2, context.settings.largest_cover + 1)
     covers = covers[~np.any(whole % covers[:, None], axis=1)]
-    near: list[bool] = []
+    near = []
     if len(covers):
         states = loop.states / context.sizes
         near = [

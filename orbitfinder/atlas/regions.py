@@ -135,7 +135,7 @@ class Attractor:
             vector_field(accelerations(model)),
             np.linspace(0.0, SETTINGS.spans * longest, 2 * SETTINGS.samples),
         )
-        kept: list[np.ndarray] = []
+        kept = []
         for start in random_states(model, clock):
             try:
                 before, path = np.split(integrate(field, start, times, SETTINGS.loose), 2)

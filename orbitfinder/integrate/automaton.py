@@ -172,8 +172,8 @@ class Automaton:
         self._asked = []
         guards = [self._watch(each.guard, each.direction, field, x, by in ("", each.name)) for each in leaving]
         holds = {name: self._watch(hold, -1, field, x) for name, hold in self.hybrid.mode(mode).holds.items()}
-        times: list[np.ndarray] = [np.zeros(1)]
-        states: list[np.ndarray] = [x[None]]
+        times = [np.zeros(1)]
+        states = [x[None]]
         for _ in range(WATCHED.most_steps):
             limit.check()
             solver.step()
@@ -227,7 +227,7 @@ class Automaton:
         dense: Callable[[float], np.ndarray], field: VectorField, begin: tuple[float, np.ndarray],
     ) -> tuple[float, np.ndarray, int] | None:  # fmt: skip
         """The first crossing that counts among those within a step: moment, state, number of its transition."""
-        crossings: list[tuple[float, np.ndarray, int]] = []
+        crossings = []
         for k, transition in enumerate(leaving):
             for before, after in guards[k].seen(looks, within, dense):
                 moment = _root(lambda t: guards[k].height(dense(t)), before, after)  # noqa: B023 - of this round

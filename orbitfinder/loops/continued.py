@@ -325,7 +325,7 @@ def correct_each(
     curves: Sequence[Curve], guesses: Sequence[Unknowns], aims: Sequence[Condition], reach: float
 ) -> list[Solution | ConvergenceError | IntegrationError]:
     """The same of guesses on a mesh, of curves of the same equations, marched beside each other; of what fails why."""
-    results: dict[int, Solution | ConvergenceError | IntegrationError] = {}
+    results = {}
     each = zip(curves, guesses, aims, strict=True)
     steps = [_correcting(curve, guess, aim, reach=reach) for curve, guess, aim in each]
     places = {k: next(step) for k, step in enumerate(steps)}

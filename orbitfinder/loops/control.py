@@ -208,7 +208,7 @@ class Basis:
             return [
                 rest**3 / 6, (3 * share**3 - 6 * share**2 + 4) / 6, (3 * rest**3 - 6 * rest**2 + 4) / 6, share**3 / 6
             ]  # fmt: skip
-        values: list[Any] = [1.0]
+        values = [1.0]
         for k in range(1, self.harmonics + 1):
             angle = 2 * np.pi * k * phase
             values += [ca.cos(angle), ca.sin(angle)]

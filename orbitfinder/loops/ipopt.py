@@ -166,7 +166,7 @@ def minimised(solver: ca.Function, **given: np.ndarray) -> tuple[np.ndarray, dic
 
 def _options(shooting: Shooting, settings: SolveSettings) -> tuple[dict[str, Any], dict[str, Any]]:
     """IPOPT's options; the Hessian is explicit where its structure is known and L-BFGS elsewhere, never exact."""
-    ipopt: dict[str, Any] = {"tol": settings.ipopt_tolerance, "mu_init": 1e-8, "max_iter": settings.max_iterations}
+    ipopt = {"tol": settings.ipopt_tolerance, "mu_init": 1e-8, "max_iter": settings.max_iterations}
     if not shooting.square and (shooting.inequalities.numel() or shooting.problem.objective != "nearest"):
         ipopt |= {"mu_init": 1e-2, "max_iter": settings.objective_iterations, **STALLED}
     if shooting.square or shooting.problem.objective == "nearest" or shooting.residuals.numel():

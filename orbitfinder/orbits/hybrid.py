@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -392,7 +391,7 @@ def held(arcs: Sequence[Arc]) -> Iterator[tuple[str, float]]:
     """What must not be negative: in modes along the motion, and impulses at events, each with its least value."""
     least: dict[str, float] = {}
     for arc in arcs:
-        pairs: list[tuple[str, Any]] = [*arc.margins, (f"impulse of {arc.ended_by}", arc.impulse)]
+        pairs = [*arc.margins, (f"impulse of {arc.ended_by}", arc.impulse)]
         for name, value in pairs:
             if value is not None:
                 least[name] = min(least.get(name, np.inf), float(value))

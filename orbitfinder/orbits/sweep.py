@@ -74,7 +74,7 @@ class Row(Shown):
 
     def record(self, names: Sequence[str]) -> Entries:
         """The row as plain values by name, None where there is no orbit; `names` are those of the state."""
-        numbers: dict[str, Any] = dict.fromkeys((*NUMBERS, "instability", *names))
+        numbers = dict.fromkeys((*NUMBERS, "instability", *names))
         if self.orbit is not None:
             numbers = {name: getattr(self.orbit, name) for name in NUMBERS}
             numbers["instability"] = float(np.abs(self.orbit.floquet_multipliers).max(initial=1.0))

@@ -461,7 +461,7 @@ def read_trajectory(
 
 
 def _numbers(name: str, lines: list[str], size: int, events: bool) -> np.ndarray:
-    rows: list[list[float]] = []
+    rows = []
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue

@@ -387,7 +387,7 @@ class _EventProof:
         Returns how near, relative to the next singular value.
         """
         form, m = self.form, self.form.components
-        rows: np.ndarray = np.zeros((len(nodes), form.dimension))
+        rows = np.zeros((len(nodes), form.dimension))
         rows[:, :m] = nodes
         if form.parameter:
             rows[:, form.constants_at["p"]] = value

@@ -195,7 +195,7 @@ class _Rest:
         def bent(f: ca.SX) -> ca.SX:
             return ca.jtimes(ca.jtimes(f, x, u), x, v)
 
-        made: dict[str, Callable[[ca.SX], ca.SX]] = {
+        made = {
             "second": bent, "third": lambda f: ca.jtimes(bent(f), x, z),
             "moving": lambda f: ca.jtimes(ca.jtimes(f, x, u), both, away),
         }  # fmt: skip
@@ -444,7 +444,7 @@ def replay_equilibria(
     recorded: ProvedEquilibria, model: Model | None = None, progress: Progress | None = None
 ) -> tuple[ProvedEquilibria, list[str]]:
     """The proof done again from its record alone, and every recorded claim that it does not prove."""
-    compared: dict[str, Callable[[Any, Any], bool]] = {
+    compared = {
         **dict.fromkeys(("event", "stability", "criticality", "vector"), operator.eq),
         "radius": at_least,
         "contraction": bounding,

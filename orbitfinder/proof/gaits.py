@@ -74,7 +74,7 @@ class GuardedArc:
         self, mode: Mode, transition: Transition, leaving: Sequence[Transition], given: Mapping[int, Any] | None = None
     ) -> None:
         self.mode, self.transition, self.leaving = mode, transition, tuple(leaving)
-        self.field: Field = make_field(mode.model, None, given)
+        self.field = make_field(mode.model, None, given)
         d, p = len(mode.model.state_names), ca.SX.sym("p", len(mode.model.parameter_values))
         x, self.size = ca.SX.sym("x", d), d
 

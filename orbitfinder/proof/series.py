@@ -60,7 +60,7 @@ def recurrence(code: ScalarProgram, constants: Mapping[int, Sequence[Any]]) -> R
         fold.operation(name, target, a, b)
     results = tuple({entry: fold.place(value) for entry, value in result.items()} for result in code.outputs)
     wanted = {value for result in results for value in result.values()}
-    kept: list[Operation] = []
+    kept = []
     for operation in reversed(fold.operations):
         targets = {operation[1], operation[3]} if operation[0] == "sincos" else {operation[1]}
         if targets & wanted:
@@ -74,11 +74,11 @@ class _Fold:
 
     def __init__(self, code: ScalarProgram, constants: Mapping[int, Sequence[Any]]) -> None:
         self.size = code.size
-        self.fixed: dict[int, Any] = {value: arb(number) for value, number in code.constants}
+        self.fixed = {value: arb(number) for value, number in code.constants}
         self.alias: dict[int, int] = {}
         self.pairs: dict[int, tuple[int, int]] = {}
         self.operations: list[Operation] = []
-        self.variables: list[tuple[int, int, int]] = []
+        self.variables = []
         for value, argument, entry in code.inputs:
             if argument in constants:
                 self.fixed[value] = constants[argument][entry]

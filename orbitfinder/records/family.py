@@ -640,7 +640,7 @@ def family_to_document(family: Family) -> Entries:
 def save_family(family: Family, folder: Path) -> Path:
     """Write family.json and family.npz whole or not at all; returns the JSON's path."""
     folder.mkdir(parents=True, exist_ok=True)
-    dense: dict[str, np.ndarray] = {}
+    dense = {}
     for kind, members in (("point", family.points), ("event", family.events)):
         for name, here in DENSE.items():
             pieces = [np.asarray(getattr(member, here), float).ravel() for member in members]

@@ -56,7 +56,7 @@ def printed_closure(printed: PrintedOrbit) -> tuple[float, float]:
 
 def orbit_part(folder: Path) -> dict[str, Any]:
     """Refine and certify the four orbits; write orbit.json, figures 11 to 13 and a GIF each."""
-    numbers: dict[str, Any] = {}
+    numbers = {}
     orbits = []
     for printed in ORBITS:
         orbit = refine(printed)

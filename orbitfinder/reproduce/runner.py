@@ -56,7 +56,7 @@ def reproduce(folder: str | Path, fresh: bool = False, report: Report | None = N
         (out / "numbers").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"out: cannot write to {out} ({error.strerror}); choose a writable folder") from error
-    numbers: Entries = {}
+    numbers = {}
     for k, part in enumerate(PARTS):
         if report:
             report(part.says, k, len(PARTS))

@@ -307,8 +307,8 @@ def derivation_part(folder: Path) -> Entries:
     """
     costs: Entries = {}
     for formulation in FORMULATIONS:
-        seconds: dict[str, float] = {}
-        operations: dict[str, int] = {}
+        seconds = {}
+        operations = {}
         for count in SIZES:
             model, seconds[str(count)] = _derived(count, formulation)
             operations[str(count)] = _operations(model.acceleration)

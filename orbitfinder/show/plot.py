@@ -619,7 +619,7 @@ def multipliers_along(family: Family) -> Figure:
         lower.plot(*line, ".-", color=COLOURS[k % len(COLOURS)], markersize=3, linewidth=1.0)
     for level in (-2.0, 2.0):
         lower.axhline(level, color="0.5", linewidth=0.7)
-    drawn: dict[str, Any] = {}
+    drawn = {}
     for event, look in ((event, mark_of(event)) for event in family.events):
         if look.across:
             drawn[event.kind.replace("_", " ")] = lower.axvline(event.parameter, color=look.colour, linewidth=0.8)

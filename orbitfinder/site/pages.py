@@ -174,7 +174,7 @@ def _check(check: Check) -> Entries:
 def orbit_data(entry: SiteOrbit) -> Entries:
     """What the orbit page's script works with."""
     document, motion = entry.document, entry.motion
-    data: Entries = {
+    data = {
         "name": orbit_name(document),
         "title": entry.title,
         "period": float(document["period"]),

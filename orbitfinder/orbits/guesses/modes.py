@@ -224,7 +224,7 @@ def normal_mode(
         raise InputError(f"guess.amplitude: must be positive and finite, got {amplitude}; give an angle in rad")
     if model.rates is not None:
         # a turn of the ellipse x* + a Re(u exp(i w t)) that a pair of eigenvalues goes round
-        place, values, vectors = first_order_modes(model, equilibrium)
+        place, values, vectors = first_order_modes(model, np.zeros(n) if equilibrium is None else equilibrium)
         pairs = f"{plural(values.size, 'pair')} of complex eigenvalues"
         _check_mode(mode, values.size, f"the equilibrium at {place.tolist()} has {pairs}")
         shape, frequency = vectors[:, mode - 1], float(values[mode - 1].imag)
