@@ -200,12 +200,7 @@ class Search:
     def _hand_out(self, workers: Workers) -> bool:
         """Give starts to idle workers; True while more are wanted."""
         while self._wanted():
-            # how many starts are made side by side, by the time that the latest have taken
-            latest, budget = self._latest, self._limits.budget
-            turn = TURN if budget is None else min(TURN, budget - self.statistics.elapsed)
-            first = FIRST if self._context.controlled is None else 1
-            size = int(np.clip(turn * len(latest) / (sum(latest) + 1e-3), 1, TOGETHER)) if latest else first
-            room = workers.room
+            room, size = workers.room, self._size
             if not (room > 0 and len(self._unjudged) < AHEAD * (self._under_way // size + room)):
                 return True
             left = size if self._limits.starts is None else -(-(self._limits.starts - self._next) // room)
@@ -216,6 +211,14 @@ class Search:
                 self._next = next(self._numbers)
             self._submit(workers, jobs)
         return False
+
+    @property
+    def _size(self) -> int:
+        """How many starts are made side by side, by the time that the latest have taken."""
+        latest, budget = self._latest, self._limits.budget
+        turn = TURN if budget is None else min(TURN, budget - self.statistics.elapsed)
+        first = FIRST if self._context.controlled is None else 1
+        return int(np.clip(turn * len(latest) / (sum(latest) + 1e-3), 1, TOGETHER)) if latest else first
 
     def _submit(self, workers: Workers, jobs: Sequence[Job]) -> None:
         workers.submit(jobs)

@@ -112,6 +112,16 @@ def _inverses(jacobians: np.ndarray) -> np.ndarray:
         return np.concatenate([_inverses(each[None]) for each in jacobians])
 
 
+def _weakest(inverses: np.ndarray, rounds: int) -> np.ndarray:
+    """Unit vectors (B x K) that matrices move least, by their inverses (B x K x R) and the power method."""
+    vectors = np.ones((*inverses.shape[:2], 1))
+    for _ in range(rounds):
+        for turned in (inverses.swapaxes(1, 2), inverses):
+            vectors = turned @ vectors
+            vectors = vectors / nonzero(np.linalg.norm(vectors, axis=1, keepdims=True))
+    return vectors[..., 0]
+
+
 def _norms(rows: np.ndarray) -> np.ndarray:
     """Euclidean, of each by itself."""
     return np.asarray(np.linalg.norm(rows, axis=1))
@@ -314,13 +324,7 @@ class Rank:
     def _correct(self, numbers: np.ndarray) -> None:
         """Newton's steps from where rows are, cut, and what share of them the step before foretells."""
         inverse, before, simplified = _inverses(self.jacobian[numbers]), self.step[numbers], self.simplified[numbers]
-        # unit vectors (B x K) that the matrices move least, by the power method
-        vectors = np.ones((*inverse.shape[:2], 1))
-        for _ in range(self.how.powers):
-            for turned in (inverse.swapaxes(1, 2), inverse):
-                vectors = turned @ vectors
-                vectors = vectors / nonzero(np.linalg.norm(vectors, axis=1, keepdims=True))
-        newton, weakest = -(inverse @ self.residual[numbers, :, None])[..., 0], vectors[..., 0]
+        newton, weakest = -(inverse @ self.residual[numbers, :, None])[..., 0], _weakest(inverse, self.how.powers)
         along, most = (weakest * newton).sum(axis=1, keepdims=True), self.how.largest_step
         step = newton - (along - np.clip(along, -most, most)) * weakest
         self.inverse[numbers], self.newton[numbers], self.step[numbers] = inverse, newton, step

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import reduce
+from operator import add, mul, neg, sub, truediv
 from typing import Any
 
 import casadi as ca
@@ -38,8 +39,7 @@ WORDS = re.compile(rf"\b({'|'.join(OWN)})\b(?!\s*:)")
 """Python's own words, which are names here, such as `lambda` and `if`, by a letter after them"""
 
 _OPERATIONS: dict[type[ast.AST], Callable[..., Any]] = {
-    ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
-    ast.Div: lambda a, b: a / b, ast.Pow: lambda a, b: a**b, ast.USub: lambda a: -a, ast.UAdd: lambda a: a,
+    ast.Add: add, ast.Sub: sub, ast.Mult: mul, ast.Div: truediv, ast.Pow: pow, ast.USub: neg, ast.UAdd: lambda a: a,
     ast.Lt: ca.lt, ast.LtE: ca.le, ast.Gt: ca.gt, ast.GtE: ca.ge, ast.Eq: ca.eq, ast.NotEq: ca.ne,
     ast.And: ca.logic_and, ast.Or: ca.logic_or, ast.Not: ca.logic_not,
 }  # fmt: skip

@@ -76,6 +76,7 @@ from orbitfinder.proof.theorem import (
     NotProved,
     Options,
     Progress,
+    certain,
     check_graph,
     check_motion,
     chosen_symmetry,
@@ -287,6 +288,11 @@ class BorderedRecord(Versioned):
         return [*map(arb, self.centre)]
 
     @property
+    def box(self) -> Vector:
+        """The centre in balls of the radius."""
+        return [arb(c, self.radius) for c in self.centre]
+
+    @property
     def words(self) -> list[tuple[str, str]]:
         """What is proved, line by line."""
         at, period = (in_digits(ball) for ball in (self.value, self.period))
@@ -451,11 +457,7 @@ class _EventProof:
     def concluded(self, margin: float = MARGIN, digits: int = DIGITS) -> BorderedRecord:
         """What the record says of its box, proved. Raises `NotProved`."""
         about, form, settings = self.about, self.form, self.about.settings
-        first = krawczyk(self.equations, [arb(c, about.radius) for c in about.centre], settings)
-        if not first.proved:
-            raise NotProved("the interval Newton operator does not map the box into itself")
-        again = krawczyk(self.equations, first.image, settings)
-        box = [x.intersection(y) for x, y in zip(first.image, again.image, strict=True)]
+        first, again, box = certain(lambda box: krawczyk(self.equations, box, settings), about.box)
         plain, own = self.along(box)
         arcs = arcs_over(plain, own, midpoints(own), settings)
         path = horizon(plain, own, arcs)
@@ -532,11 +534,8 @@ class _GaitEventProof:
     def concluded(self, margin: float = MARGIN, digits: int = DIGITS) -> BorderedRecord:
         """See `_EventProof`."""
         about, settings = self.about, self.about.settings
-        first, _ = self.arcs.krawczyk([arb(c, about.radius) for c in about.centre], settings)
-        if not first.proved:
-            raise NotProved("the interval Newton operator does not map the box into itself")
-        again, _ = self.arcs.krawczyk(first.image, settings)
-        parts = self.arcs.parts([x.intersection(y) for x, y in zip(first.image, again.image, strict=True)])
+        first, _, whole = certain(lambda box: self.arcs.krawczyk(box, settings)[0], about.box)
+        parts = self.arcs.parts(whole)
         value, d = parts[0][-2], len(about.flow)
         plain = course(self.model, {self.model.parameter_index(about.parameter): value})
         box = [number for part in parts for number in (*part[:d], part[-1])]

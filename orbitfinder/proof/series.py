@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from operator import mul
+from operator import add, mul, neg, sub, truediv
 from typing import Any
 
 from orbitfinder.proof.balls import arb, arb_poly, arb_series, truncated
@@ -19,13 +19,13 @@ from orbitfinder.proof.program import Ring, ScalarProgram
 BALLS = Ring(
     arb,
     {
-        "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": mul, "div": lambda a, b: a / b,
-        "neg": lambda a: -a, "sq": lambda a: a * a, "sin": lambda a: a.sin(), "cos": lambda a: a.cos(),
-        "sqrt": lambda a: a.sqrt(), "exp": lambda a: a.exp(), "log": lambda a: a.log(), "pow": lambda a, b: a**b,
+        "add": add, "sub": sub, "mul": mul, "div": truediv, "neg": neg, "pow": pow,
+        "sq": lambda a: a * a, "sin": lambda a: a.sin(), "cos": lambda a: a.cos(),
+        "sqrt": lambda a: a.sqrt(), "exp": lambda a: a.exp(), "log": lambda a: a.log(),
     },
 )  # fmt: skip
 WHOLE: dict[str, Callable[..., Any]] = BALLS.functions | {
-    "scale": mul, "shift": lambda u, c: u + c, "quotient": lambda u, c: c / u,
+    "scale": mul, "shift": add, "quotient": lambda u, c: c / u,
     "power": lambda u, c: (u.log() * c).exp(), "div": lambda a, b: a / b if a.length() or not b.length() else a,
 }  # fmt: skip
 """The operations of a recurrence on whole series (but for sincos, which has two results)

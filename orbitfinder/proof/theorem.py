@@ -352,6 +352,15 @@ def enclosed(operator: Callable[[Vector], Krawczyk], centre: Vector, say: Progre
     raise NotProved("the interval Newton operator maps no box into itself (" + "; ".join(reasons) + ")")
 
 
+def certain(operator: Callable[[Vector], Krawczyk], box: Vector) -> tuple[Krawczyk, Krawczyk, Vector]:
+    """K on a box and on its image, and where the zero is. Raises `NotProved` unless the box is mapped into itself."""
+    first = operator(box)
+    if not first.proved:
+        raise NotProved("the interval Newton operator does not map the box into itself")
+    again = operator(first.image)
+    return first, again, [x.intersection(y) for x, y in zip(first.image, again.image, strict=True)]
+
+
 def verdict(path: Trajectory) -> Stability:
     """The stability of an enclosed orbit."""
     form, matrix = path.formulation, monodromy(path)
