@@ -226,7 +226,7 @@ def turns(context: Context, nodes: np.ndarray, end: np.ndarray) -> tuple[int, ..
     """Whole turns of each coordinate over the guess, to the nearest."""
     n = context.model.degrees_of_freedom
     whole = np.round((end - nodes[0])[:n] / (2 * np.pi))
-    return tuple(int(k) for k in np.where(context.model.angular, whole, 0))
+    return tuple(map(int, np.where(context.model.angular, whole, 0)))
 
 
 def solved(context: Context, problem: Problem, w: Unknowns) -> Course[ClosedLoop]:
@@ -322,5 +322,5 @@ def origin(seed: int, start: SearchStart) -> Entries:
         "index": start.index,
         "strategy": start.strategy,
         "symmetry_imposed": start.symmetry,
-        "start": {"state": [float(x) for x in start.state], "period": start.period} | course,
+        "start": {"state": start.state.tolist(), "period": start.period} | course,
     }

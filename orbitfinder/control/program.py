@@ -691,7 +691,7 @@ def _first_points(guess: Unknowns, parts: Arrangement, collocation: bool) -> np.
 
 def _closed(parts: Arrangement, stated: Statement, at: np.ndarray) -> np.ndarray:
     equal, expressed = stated.low == stated.high, stated.expressed
-    chosen = [int(k) for k in np.flatnonzero(equal)]
+    chosen = np.flatnonzero(equal).tolist()
 
     def derived() -> ca.Function:
         equations = expressed.rows[chosen]

@@ -322,7 +322,7 @@ class Collocation(Gridded):
         if states:
             inner = np.stack(path, axis=1).reshape(loops, -1, size)
             whole = np.concatenate([inner, ends[:, -1:]], axis=1)
-        totals = [float(total) for total in np.reshape(integrals, (loops, -1)).sum(axis=1)]
+        totals = np.reshape(integrals, (loops, -1)).sum(axis=1).tolist()
         return list(map(Varied, ends, by_node, by_tail, whole, totals, [change] * loops))
 
     def _ended(self, stages: np.ndarray) -> np.ndarray:

@@ -138,7 +138,7 @@ class Curve(Loop):
     @cached_property
     def turns(self) -> tuple[int, ...]:
         """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
-        return tuple(int(k) for k in self.equations.symmetry.turns(self.constant))
+        return tuple(map(int, self.equations.symmetry.turns(self.constant)))
 
     @property
     def _unit(self) -> float:

@@ -67,7 +67,7 @@ def checked_motors(motors: Sequence[int], joints: int) -> list[int]:
         whole = isinstance(number, (int, np.integer)) and not isinstance(number, bool)
         if not whole or not 1 <= number <= joints or given.count(number) > 1:
             raise InputError(f"motors: {number!r} in {given}; give different joints from 1 (at the ground) to {joints}")
-    return [int(number) for number in given]
+    return [*map(int, given)]
 
 
 def joint_torques(torques: Mapping[int, Any], links: int) -> list[Any]:

@@ -22,7 +22,7 @@ from orbitfinder.mechanics.first_order import TAKEN, Named, hamiltonian, ode
 from orbitfinder.mechanics.hybrid import Transition, changed, hybrid
 from orbitfinder.mechanics.kind import KINDS, SystemKind
 from orbitfinder.mechanics.lagrange import Symbols, lagrange, mirrors
-from orbitfinder.mechanics.model import Model, altered, images
+from orbitfinder.mechanics.model import USUAL_SYMMETRIES, Model, altered, images
 from orbitfinder.mechanics.scales import with_units
 from orbitfinder.records.reading import Entries, Table
 
@@ -165,8 +165,7 @@ def _check_names(given: Table, form: str, names: Sequence[str]) -> None:
     for name, key in called:
         word, arguments = _head(name) if key == "let" else (name, ())
         for part in (word, *(arguments or ())):
-            usual = ("none", "brake", "reflection", "reversal", "brake+reflection")  # which need no declaration
-            taken = (*usual, *TAKEN) if key == "symmetries" else RESERVED
+            taken = (*USUAL_SYMMETRIES, *TAKEN) if key == "symmetries" else RESERVED
             if not part.isidentifier() or not part.isascii() or part in taken:
                 raise InputError(f"{key}.{name}: {part!r} is no name that is free; use letters, digits and _, such as "
                                  f"{re.sub('[^A-Za-z0-9_]', '', part) or 'x'}_1")  # fmt: skip
@@ -317,7 +316,7 @@ def _common(given: Table) -> Entries:
                 symmetries=_declared(given, "signs"))  # fmt: skip
 
 
-def _declared(given: Table, key: str) -> dict[str, Any]:
+def _declared(given: Table, key: str) -> Entries:
     """Sense of time and signs or a generator, as the `key` says, of symmetries by name."""
     declared = given.get("symmetries", {}).items()
     return {name: (said.get("time", 1), said[key]) for name, said in declared if key in said}

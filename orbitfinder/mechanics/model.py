@@ -152,6 +152,10 @@ class Mechanics:
     constraint: HolonomicConstraint | None = None
 
 
+USUAL_SYMMETRIES = ("none", "brake", "reflection", "reversal", "brake+reflection")
+"""Those that need no declaration by the system"""
+
+
 @dataclass(frozen=True)
 class Structure:
     """What motions keep and repeat.

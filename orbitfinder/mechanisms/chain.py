@@ -67,7 +67,7 @@ def per_link(name: str, value: Numbers, links: int, lowest: float, inclusive: bo
     if np.any(numbers < lowest) or (not inclusive and np.any(numbers == lowest)):
         bound = f"at least {lowest:g}" if inclusive else f"greater than {lowest:g}"
         raise InputError(f"{name}: must be {bound}, got {value}; check the sign and the unit")
-    return [float(number) for number in numbers]
+    return [*map(float, numbers)]
 
 
 def chain_system(

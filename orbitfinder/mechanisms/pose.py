@@ -110,7 +110,7 @@ def movable(model: Model, state: np.ndarray) -> list[int]:
         return []
     q = np.array(state[: model.degrees_of_freedom], float)
     sizes = np.abs(_slopes(model, q, surroundings(model, q)[0])[0]).max(axis=(1, 2))
-    return [int(k) for k in np.flatnonzero(sizes > SMALL * sizes.max())]
+    return np.flatnonzero(sizes > SMALL * sizes.max()).tolist()
 
 
 def _checked(points: np.ndarray, point: int) -> int:

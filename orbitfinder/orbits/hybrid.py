@@ -225,7 +225,7 @@ def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:
         along = shift_along(model, problem.relative, refined.state, end, turns)
     found = gather_hybrid(model, refined.state, refined.period, turned(model, turns, along))
     return recorded(
-        replace(problem, winding=tuple(int(k) for k in turns)), refined.period, found.arcs[-1].after,
+        replace(problem, winding=tuple(map(int, turns))), refined.period, found.arcs[-1].after,
         refined.state[None], found.times, found.states, refined.unfolding, found.action, found.floquet,
         problem.symmetry,
     )  # fmt: skip

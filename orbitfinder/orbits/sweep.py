@@ -120,9 +120,9 @@ class SweepRecord(Tabled):
     __repr__ = brief("name", "parameters", "counts")
 
     name: str
-    system: Mapping[str, Any]
+    system: Table
     parameters: tuple[str, ...]
-    rows: tuple[dict[str, Any], ...]
+    rows: tuple[Entries, ...]
 
     @property
     def counts(self) -> str:

@@ -107,7 +107,7 @@ def orbit_text(document: Table, expected: bool = True) -> str | None:
     if not isinstance(pin, Mapping):
         kept = document["energy"] is not None and "energy" in provenance.get("invariants", ["energy"])
         pin = {"energy": float(document["energy"])} if kept else {}
-    turns = [int(k) for k in document.get("winding") or ()]
+    turns = [*map(int, document.get("winding") or ())]
     chosen = ({"pin": pin} if pin else {}) | ({"winding": turns} if any(turns) else {})
     if steered := document.get("control"):
         chosen |= {key: steered[key] for key in ("free", "bounds") if steered.get(key)}

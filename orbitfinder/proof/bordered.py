@@ -363,12 +363,12 @@ class _EventProof:
     def sections(self) -> list[tuple[Any, Any]]:
         """The hyperplanes through the centre: across the flow of x, and of y, as they are wanted, and across y."""
         form, m = self.form, self.form.components
-        node = [float(x.mid()) for x in form.nodes(self.about.start)[0]]
+        node = np.array([float(x.mid()) for x in form.nodes(self.about.start)[0]])
         own, other, first = np.zeros((3, form.dimension))
         own[:m] = other[m : 2 * m] = self.about.flow
         first[m : 2 * m] = node[m : 2 * m]
         wanted = ((self.plain.sectioned, node, own), (form.carried, 0 * own, other), (True, first, first))
-        return [([float(x) for x in a][: len(own)], w.tolist()) for asked, a, w in wanted if asked]
+        return [(a[: len(own)].tolist(), w.tolist()) for asked, a, w in wanted if asked]
 
     def along(self, unknowns: Vector) -> tuple[TheoremEquations, Vector]:
         """The equations of the orbit alone, at a parameter and energy of the bordered ones, and its unknowns."""

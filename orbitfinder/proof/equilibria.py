@@ -244,7 +244,7 @@ class Slopes:
         return eigenvalues(self.jacobian)
 
 
-Wide = Callable[..., dict[str, Any]]
+Wide = Callable[..., Entries]
 """How a ball is recorded"""
 
 

@@ -313,7 +313,7 @@ def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) 
     """The theorem's equations; the section is normal to the flow at the first node."""
     sections = []
     if start.formulation.sectioned:
-        sections = [([float(x) for x in start.nodes[0]], [float(x) for x in start.flow])]
+        sections = [(start.nodes[0].tolist(), start.flow.tolist())]
     return TheoremEquations(make_field(model, codes), start.formulation, energy, sections)
 
 

@@ -60,7 +60,7 @@ AVOIDED, BECOMES, DECIDED, UNCHANGING = (
 """The details of an avoided crossing; of a change of stability, in the order in which a family is listed; verdicts that
 say something; events at which they do not change"""
 CURVE: Entries = {
-    "cycles": int, "watch": dict[str, Any], "parameters": tuple[str, str], "test": dict[str, Any], "method": str,
+    "cycles": int, "watch": Entries, "parameters": tuple[str, str], "test": Entries, "method": str,
     "form": str, "pace": float, "fixed": dict[str, float], "free": tuple[str, ...],
 }  # fmt: skip
 """Entries of a family's curve that others than its solver read"""
@@ -281,7 +281,7 @@ class Standing:
 
 def _members(kind: type[FamilyPoint] | type[Event]) -> Filed:
     def read(entries: Any, where: str) -> tuple[Any, ...]:
-        told = typed(tuple[Mapping[str, Any], ...], entries, where)
+        told = typed(tuple[Table, ...], entries, where)
         return tuple(restored(kind, entry, f"{where}[{k}]") for k, entry in enumerate(told))
 
     return Filed(list, read)
@@ -555,7 +555,7 @@ def _turns(curve: Table, size: int) -> tuple[int, ...]:
     if constant.shape != (2 * n,) or symmetry not in ("none", "reversal"):
         return (0,) * n
     turned = constant[:n] / (2 * np.pi) if symmetry == "none" else (constant[n:] - constant[:n]) / np.pi
-    return tuple(int(k) for k in np.round(turned))
+    return tuple(np.round(turned).astype(int).tolist())
 
 
 def reverted(event: Event) -> Event:
@@ -716,7 +716,7 @@ def load_family(path: str | Path) -> Family:
 
 def _put_back(dense: Mapping[str, np.ndarray], kind: str, document: Entries) -> None:
     """Give the points or events of a document the arrays of family.npz."""
-    entries = document[f"{kind}s"] = list(typed(tuple[dict[str, Any], ...], document[f"{kind}s"], f"{kind}s"))
+    entries = document[f"{kind}s"] = list(typed(tuple[Entries, ...], document[f"{kind}s"], f"{kind}s"))
     split = {name: _pieces(dense, f"{kind}_{name}", len(entries)) for name in DENSE}
     for k, entry in enumerate(entries):
         size = len(entry["state"]) if isinstance(entry.get("state"), list) else 0

@@ -12,7 +12,7 @@ from orbitfinder._runtime.rooms import loaded
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import Entries, Table
 
-Tables = dict[str, dict[str, Any]]
+Tables = dict[str, Entries]
 """Columns by the table that they are of"""
 
 

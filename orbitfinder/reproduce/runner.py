@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -87,7 +86,7 @@ def _once(part: Part, out: Path, fresh: bool) -> Entries:
     return dict(json.loads(text)["numbers"])  # as a later run will read it
 
 
-Numbers = dict[str, Any]
+Numbers = Entries
 METHODS = (
     ("Newton-Euler", "newton-euler", "2"), ("DAE, native, no stabilisation", "dae", "4"),
     ("DAE, native, Baumgarte", "dae with Baumgarte", "4"), ("Lagrange", "lagrange", "5"),

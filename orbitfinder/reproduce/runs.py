@@ -348,7 +348,7 @@ def derivation_figure(costs: Entries) -> Any:
     figure = new_figure(6.4, 3.8, "Time to derive n links")
     axes = figure.subplots()
     for k, (name, entry) in enumerate(costs.items()):
-        counts = [int(n) for n in entry["seconds"]]
+        counts = [*map(int, entry["seconds"])]
         label = rf"{TITLES[name]}: $n^{{{entry['exponent']:.1f}}}$"
         axes.loglog(
             counts, list(entry["seconds"].values()), "os^D"[k] + "-", color=COLOURS[k], label=label, markersize=4

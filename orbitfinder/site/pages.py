@@ -6,7 +6,6 @@ from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 
@@ -254,7 +253,7 @@ def _said(family: Family, items: list[Entries]) -> list[Entries]:
 
     listed = {item["number"] for item in items if item["event"]}
     cuts = [event for k, event in enumerate(family.events) if k in listed or event.detail in BECOMES]
-    places, told = [event.arclength for event in cuts], list[dict[str, Any]]()
+    places, told = [event.arclength for event in cuts], list[Entries]()
     for item in items:
         if item["event"]:
             told.append(item | {"says": f"At {where(item['value'])}: {sentence(family, item['number'])}."})
