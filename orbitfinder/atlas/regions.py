@@ -171,11 +171,6 @@ Region = Level | Attractor
 """Where states (d) are drawn from"""
 
 
-def region_of(model: Model, level: float, longest: float) -> Region:
-    """The level set of an integral, or the attractors of a system without one. Raises `InputError`."""
-    return Level.of(model, level) if model.invariants else Attractor.of(model, longest)
-
-
 def _with_rates(model: Model, lengths: np.ndarray, clock: float) -> np.ndarray:
     """What states (d) are measured in: lengths (n), of a mechanical system's rates lengths in a `clock` (s)."""
     return lengths if model.rates is not None else np.concatenate([lengths, lengths / clock])

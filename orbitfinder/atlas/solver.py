@@ -435,9 +435,7 @@ class Derived(NamedTuple):
         return np.asarray(ends & np.isfinite(self.transitions).all(axis=(1, 2, 3)))
 
 
-@lru_cache(maxsize=256)
-def _mesh(fraction: float, segments: int, steps: int) -> np.ndarray:
-    return uniform(fraction, segments, steps)
+_mesh = lru_cache(maxsize=256)(uniform)
 
 
 def _evaluated(trials: Sequence[tuple[Rank, np.ndarray, np.ndarray]]) -> None:

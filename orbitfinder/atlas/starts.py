@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.abreast import Course, Marched, alone
 from orbitfinder.atlas.controlled import Controlled, problem_of
-from orbitfinder.atlas.regions import Attractor, Region, region_of
+from orbitfinder.atlas.regions import Attractor, Level, Region
 from orbitfinder.atlas.sections import TURNS as TURNED
 from orbitfinder.atlas.sections import EventSection
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
@@ -236,7 +236,7 @@ def _ready(context: Context, chosen: Mapping[str, Symmetry], place: np.ndarray) 
 
 def _alone(model: Model, target: Target) -> Context:
     """The shared part of a search of a first-order system."""
-    region = region_of(model, target.energy, target.periods[1])
+    region = Level.of(model, target.energy) if model.invariants else Attractor.of(model, target.periods[1])
     prepare(model)
     place = region.drawn(np.random.default_rng(0))
     held = [mirror for mirror in involutions(model) if Symmetry((mirror,), True).held_by(model, place)]

@@ -70,12 +70,6 @@ def checked_motors(motors: Sequence[int], joints: int) -> list[int]:
     return [*map(int, given)]
 
 
-def joint_torques(torques: Mapping[int, Any], links: int) -> list[Any]:
-    """Net torque on each link: a motor at joint k turns link k against link k - 1 (joint 1: against the ground;
-    joint n + 1 of a closed chain: the ground against link n)."""
-    return [torques.get(k, 0.0) - torques.get(k + 1, 0.0) for k in range(1, links + 1)]
-
-
 def divided(forces: Any, p: Any, names: Sequence[str], known: Sequence[str], values: Sequence[float]) -> Any:
     """Generalized forces as (those at the controls' own values or None, what controls add or None)."""
     if forces is None or not names:

@@ -109,7 +109,16 @@ class _Reading:
                 )
             return self.known[name]
         if isinstance(node, ast.BinOp) and type(node.op) in _OPERATIONS:
-            return self._chain(node, depth)
+            # a + b + c + ..., from the left: as long as it may be, it is not nested
+            terms: list[ast.BinOp] = []
+            first: ast.expr = node
+            while isinstance(first, ast.BinOp) and type(first.op) in _OPERATIONS:
+                terms.append(first)
+                first = first.left
+            value = self.value(first, depth)
+            for term in reversed(terms):
+                value = self._sound(_OPERATIONS[type(term.op)](value, self.value(term.right, depth)), term)
+            return value
         if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATIONS:
             return _OPERATIONS[type(node.op)](self.value(node.operand, depth))
         if isinstance(node, ast.BoolOp):
@@ -128,15 +137,3 @@ class _Reading:
             f"{self.where}: {self._shown(node)} is not allowed{meant}; use numbers, names, + - * / **, brackets "
             f"and {', '.join(self.calls)}"
         )
-
-    def _chain(self, node: ast.BinOp, depth: int) -> Any:
-        """a + b + c + ..., from the left: as long as it may be, it is not nested."""
-        terms: list[ast.BinOp] = []
-        part: ast.expr = node
-        while isinstance(part, ast.BinOp) and type(part.op) in _OPERATIONS:
-            terms.append(part)
-            part = part.left
-        value = self.value(part, depth)
-        for term in reversed(terms):
-            value = self._sound(_OPERATIONS[type(term.op)](value, self.value(term.right, depth)), term)
-        return value

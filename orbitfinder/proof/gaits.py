@@ -200,11 +200,7 @@ class GuardedCycle:
     def fault(self, passed: Sequence[Passed]) -> str:
         """Why the arcs could be no motion of the automaton: an event before the end, or a force that pulls; "" if they
         are."""
-        for arc, each in zip(self.arcs, passed, strict=True):
-            said = _fault(arc, each)
-            if said:
-                return said
-        return ""
+        return next(filter(None, map(_fault, self.arcs, passed)), "")
 
     def shorter(self, parts: Sequence[Vector]) -> int:
         """How many arcs could make a shorter period; 0 if none."""

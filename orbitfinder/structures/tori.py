@@ -483,15 +483,11 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
         at_most("once", float((gcd(*map(int, there)) if there.size else 0) - 1), 0.0, "the curve is gone round once"),
     ]  # fmt: skip
     if own.conservative:
-        checks.append(at_most("energy", _spread(own, starts, torus.energy), INVARIANT, "over the curve, relative"))
+        kinetic, potential = energies(own, starts)
+        exchanged = np.abs(kinetic if own.rates is None else potential).max()
+        drift = float(np.abs(kinetic + potential - torus.energy).max() / nonzero(exchanged))
+        checks.append(at_most("energy", drift, INVARIANT, "over the curve, relative"))
     if own.forced:
         cycles = torus.period / own.driving_period
         checks.append(at_most("forcing", abs(cycles - round(cycles)), INVARIANT, "a return is whole periods of it"))
     return replace(torus, certificate=Certificate(tuple(checks)))
-
-
-def _spread(model: Model, states: np.ndarray, energy: float) -> float:
-    """The largest difference from an energy over states, relative to the kinetic energy there."""
-    kinetic, potential = energies(model, states)
-    size = np.abs(kinetic if model.rates is None else potential).max()
-    return float(np.abs(kinetic + potential - energy).max() / nonzero(size))
