@@ -88,26 +88,13 @@ class ClosedLoop:
         return Signature(*self.numbers, resampled(self.times, self.states, len(angles)), angles)
 
 
-def attempt(
-    context: Context,
-    seed: int,
-    index: int,
-    known: ArrayLike | None = None,
-    source: Table | None = None,
-) -> Attempt:
-    """One start from its number to its orbit and certificate; with a `source` from the orbit of that document.
-
-    Where an orbit with the same numbers (energy, period, |action|) is among the `known` (k x 3), only the
-    signature is made: whoever asked is to judge whether it is that orbit.
-    """
-    (made,) = attempts(context, seed, [Job(index, known is None, source)], () if known is None else known)
-    return made
-
-
 def attempts(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike) -> list[Attempt]:
-    """The same of several, side by side; what each leads to does not depend on the others.
+    """Starts from their numbers to their orbits and certificates, side by side; what each leads to does not depend on
+    the others.
 
-    Those that seem to have led to the same orbit are certified once.
+    Where an orbit with the same numbers (energy, period, |action|) is among the `known` (k x 3), only the signature is
+    made, but for a job that is `certain`: whoever asked is to judge whether it is that orbit. Those that seem to have
+    led to the same orbit are certified once.
     """
     began, made, numbers = time.process_time(), list[Attempt](), list(np.reshape(known, (-1, 3)))
     courses = abreast([course(context, seed, job) for job in jobs])

@@ -19,7 +19,6 @@ from orbitfinder.loops.conditions import (
     Expression,
     Pin,
     check_bounds,
-    check_constraint,
     check_pin,
     clock,
     is_parameter,
@@ -374,8 +373,12 @@ def _check(problem: Problem) -> None:
     for pin in problem.pin:
         check_pin(problem, pin)
     check_bounds(model, problem.bounds, problem.free, tuple(one.name for one in problem.pin))
-    for condition in problem.constraints:
-        check_constraint(condition)
+    for asked in problem.constraints:
+        if not asked.lower <= asked.upper or asked.rows < 1:
+            raise InputError(
+                f"constraints: {asked.name} asks for {asked.lower} <= expression <= {asked.upper} in {asked.rows} rows; "
+                "give lower <= upper and at least one row"
+            )
     _check_objective(problem)
     if model.constraint is not None:
         check_consistent(model, state)

@@ -213,7 +213,7 @@ class Page(Desk):
             self.where = ui.label("").classes("number").props('id="where"')
             with ui.row().classes("items-center gap-3 w-full"):
                 self.events = ui.select({}, label="event").props("dense options-dense").classes("grow")
-                self.leave = button("Branch", self.safe(self._branch), "branch")
+                button("Branch", self.safe(self._branch), "branch")
                 button("Keep this orbit", self.safe(self._keep_member), "keep-member", "flat")
 
     def _kept(self) -> None:
