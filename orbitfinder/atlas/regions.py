@@ -164,7 +164,7 @@ class Attractor:
     def fixed(self, reversal: Involution, random: np.random.Generator) -> np.ndarray:
         """Such a state, put into the fixed set."""
         x, signs = self.drawn(random), np.broadcast_to(reversal.signs, self.lengths.size)
-        return np.asarray(np.where(signs < 0, np.pi * self.angles * random.integers(0, 2, signs.size), x))
+        return np.where(signs < 0, np.pi * self.angles * random.integers(0, 2, signs.size), x)
 
 
 Region = Level | Attractor

@@ -588,7 +588,7 @@ def corrected(scaled: ScaledLoop, at: ValleyPoint, length: float) -> Course[Vall
 
         def step(_: np.ndarray) -> np.ndarray:
             bordered = np.block([[point.jacobian, -at.left[:, None]], [at.right[None], np.zeros((1, 1))]])
-            return np.asarray(np.linalg.solve(bordered, np.append(-rest, 0.0))[:-1])
+            return np.linalg.solve(bordered, np.append(-rest, 0.0))[:-1]
 
         hold = largest(rest) < max(how.slack * abs(point.mu), how.round_off)
         return np.zeros(0) if hold else rest, step

@@ -251,7 +251,7 @@ class _Watch:
     def crossed(self, x: np.ndarray, u: np.ndarray, before: np.ndarray) -> np.ndarray:
         """Which guards (k x e) are beyond 0 where they were not `before`, and count."""
         seen, e = self.seen(x, u), self.count
-        return np.asarray(before.reshape(len(x), -1) & (seen[:, :e] >= 0) & (seen[:, e : 2 * e] > 0))
+        return before.reshape(len(x), -1) & (seen[:, :e] >= 0) & (seen[:, e : 2 * e] > 0)
 
     def breaks(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Where (k) something does not hold."""

@@ -248,7 +248,7 @@ class Arrangement:
 def mirror_of(model: Model, symmetry: Symmetry) -> np.ndarray:
     """What a symmetry makes of a state (d x d)."""
     first, last = symmetry.rows(model.degrees_of_freedom)
-    return np.asarray(-np.linalg.solve(last, first))
+    return -np.linalg.solve(last, first)
 
 
 def signs_of(model: Model, symmetry: Symmetry) -> tuple[int, ...]:

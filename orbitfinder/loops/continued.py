@@ -100,7 +100,7 @@ class Curve(Loop):
     @cached_property
     def shares(self) -> np.ndarray:
         """What coordinates (n) are measured in, in rad or relative to the first: 1 where all are measured alike."""
-        return np.asarray(np.sqrt(self._unit / self.weights[: self.equations.model.degrees_of_freedom]))
+        return np.sqrt(self._unit / self.weights[: self.equations.model.degrees_of_freedom])
 
     @cached_property
     def units(self) -> np.ndarray:

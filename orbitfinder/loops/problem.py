@@ -376,8 +376,8 @@ def _check(problem: Problem) -> None:
     for asked in problem.constraints:
         if not asked.lower <= asked.upper or asked.rows < 1:
             raise InputError(
-                f"constraints: {asked.name} asks for {asked.lower} <= expression <= {asked.upper} in {asked.rows} rows; "
-                "give lower <= upper and at least one row"
+                f"constraints: {asked.name} asks for {asked.lower} <= expression <= {asked.upper} in "
+                f"{asked.rows} rows; give lower <= upper and at least one row"
             )
     _check_objective(problem)
     if model.constraint is not None:

@@ -273,4 +273,4 @@ def minimal_states(model: Model, states: np.ndarray) -> np.ndarray:
     rows, size = np.asarray(states, float), len(model.state_names)
     if rows.ndim == 0 or rows.shape[-1] != size:
         raise InputError(f"states: shape {rows.shape}; give {size} numbers, or rows of that many")
-    return np.asarray(rows[..., 2::3])
+    return rows[..., 2::3]

@@ -125,7 +125,7 @@ def _seen(model: Model, q: np.ndarray, dims: int) -> np.ndarray:
     with np.errstate(all="ignore"):
         rest = np.zeros((len(q), len(model.state_names) - model.degrees_of_freedom))
         places = positions(model, np.hstack([q, rest]), "points" if dims == 2 else "space")
-    return np.asarray(places.transpose(0, 2, 1))
+    return places.transpose(0, 2, 1)
 
 
 def _slopes(model: Model, q: np.ndarray, units: np.ndarray, dims: int = 2) -> tuple[np.ndarray, np.ndarray]:

@@ -470,7 +470,7 @@ class _EventProof:
         minimal, _, reason = minimal_period(path, self.model.angles)
         if not minimal:
             raise NotProved(f"the period could be a multiple of a smaller period: {reason}")
-        if not form.same and not regular(plain, own, [arc[1] for arc in arcs]):
+        if not form.same and not invertible(jacobian(plain, own, [arc[1] for arc in arcs])):
             raise NotProved("the orbits of the family could not be shown to go on to other values of its parameter")
         node = form.nodes(box)[0]
         side = (
@@ -554,11 +554,6 @@ class _GaitEventProof:
             about, proved=True, contraction=first.contraction, value=said[0], period=said[1], state=state,
             tangent=tangent,
         )  # fmt: skip
-
-
-def regular(equations: TheoremEquations, box: Vector, derivatives: Sequence[Any]) -> bool:
-    """True when every DF over a box is regular."""
-    return invertible(jacobian(equations, box, derivatives))
 
 
 def invertible(slopes: Any) -> bool:

@@ -435,15 +435,10 @@ def prove_branch(
         return _concluded(empty, run, codes, asked, lambda: run.pieces(unknowns_at(start), low, high, first))
 
 
-def branch_model(branch: ProvedBranch, trusted: Path | None = None) -> Model:
-    """The Model of a recorded branch."""
-    return build_model(dict(branch.system), trusted)
-
-
 def replayed(branch: ProvedBranch, model: Model | None = None, progress: Progress | None = None) -> ProvedBranch:
     """A recorded proof of a branch done again, from its pieces. Raises `InputError`."""
     with precision(ROUGH.bits):
-        model = model or branch_model(branch)
+        model = model or build_model(dict(branch.system))
         codes = programs(model)
         sections = [branch.section] if branch.section else []
         equations = TheoremEquations(make_field(model, codes), branch.formulation, None, sections)
