@@ -408,10 +408,6 @@ def on_shell(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarr
 
 def at_rest(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The state of rest where the ray from q (V < E) along `direction` first meets V = E."""
-
-    def excess(length: float) -> float:
-        return potential(context, q + length * direction) - context.target.energy
-
     unit = np.linalg.norm(direction / context.lengths)
     lengths = np.linspace(0.0, 2 * np.pi, 64) / unit
     march, given = context.equations[NONE.name].march.arcs[0], context.model.parameter_values[None]
@@ -420,7 +416,10 @@ def at_rest(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarra
     if not beyond.size:
         raise ConvergenceError("the ray does not meet the energy")
     above = float(beyond[0])
-    root = brentq(excess, above - lengths[1], above, xtol=1e-14 * np.linalg.norm(direction) / unit)
+    root = brentq(
+        lambda length: potential(context, q + length * direction) - context.target.energy,
+        above - lengths[1], above, xtol=1e-14 * np.linalg.norm(direction) / unit,
+    )  # fmt: skip
     return np.concatenate([q + root * direction, np.zeros(q.size)])
 
 

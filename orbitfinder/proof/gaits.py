@@ -254,15 +254,15 @@ class TwistedArc(GuardedArc):
         rate, guard = ca.densify(model.rate(0.0, x, values)), transition.guard(x, values)
         reset = x if transition.reset is None else ca.densify(transition.reset(x, values))
 
-        def varied(exact: ca.SX) -> ca.SX:
-            return ca.vertcat(exact, ca.jtimes(exact, x, y), 0)
-
         def struck(exact: ca.SX) -> ca.SX:
             after, slope, pace = exact[:d], ca.jacobian(exact[d], x), exact[d + 1 :]
             held = y - pace * (slope @ y) / (slope @ pace)
             return ca.vertcat(after, ca.jtimes(after, x, held), state[-1])
 
-        plain, slopes = with_slopes("twisted", [state, none, s, p], rate, ca.vertcat(state, s), varied)
+        plain, slopes = with_slopes(
+            "twisted", [state, none, s, p], rate, ca.vertcat(state, s),
+            lambda exact: ca.vertcat(exact, ca.jtimes(exact, x, y), 0),
+        )  # fmt: skip
         parameters = [decimal(float(value)) for value in model.parameter_values]
         fixed = {3: parameters}
         self.field = Field(

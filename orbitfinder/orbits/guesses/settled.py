@@ -146,11 +146,10 @@ def _lap(
     crossed = np.flatnonzero((heights[:-1] < 0) & (heights[1:] >= 0))
     if not crossed.size:
         return None
-
-    def height(t: float) -> float:
-        return float((course.at(np.array([t]))[0] - start) @ normal)
-
-    moments = np.array([zero(height, times[k], times[k + 1], 1e-15 * period) for k in crossed])
+    moments = np.array([
+        zero(lambda t: float((course.at(np.array([t]))[0] - start) @ normal), times[k], times[k + 1], 1e-15 * period)
+        for k in crossed
+    ])  # fmt: skip
     apart = np.abs((course.at(moments) - start) / units).max(axis=1)
     least = apart.min()
     first = int(np.argmax(apart <= max(2 * least, BACK / 10)))
