@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from orbitfinder.atlas.attempt import attempt
+from orbitfinder.atlas.attempt import Job, attempts
 from orbitfinder.atlas.signature import (
     DISTANCE,
     LOOP_SAMPLES,
@@ -85,7 +85,7 @@ def test_starts_depend_on_seed_and_index_alone():
     first, second = context_of(chain(3), target), context_of(chain(3), target)
     one, other = make_start(first, 0, 2), make_start(second, 0, 2)
     assert np.array_equal(one.state, other.state) and one.period == other.period
-    found = [attempt(first, 0, k).orbit for k in range(7)]
+    found = [attempts(first, 0, [Job(k, True)], ())[0].orbit for k in range(7)]
     assert any(found) and all(abs(orbit.energy + 30.0) < 1e-10 for orbit in found if orbit)
 
 

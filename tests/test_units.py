@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from test_scales import rescaled
 
 import orbitfinder as of
-from orbitfinder.atlas.attempt import attempt
+from orbitfinder.atlas.attempt import Job, attempts
 from orbitfinder.atlas.starts import Target, context_of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
@@ -239,7 +239,7 @@ def test_searches_find_the_same_orbits_in_any_units():
             of.lagrange(mass * ca.sumsqr(v) / 2, potential, of.Symbols(q, v)),
             Target(0.12 * work, (0.5 * time, 8.0 * time)),
         )
-        seen = [attempt(context, 0, k).orbit for k in range(16)]
+        seen = [attempts(context, 0, [Job(k, True)], ())[0].orbit for k in range(16)]
         found.append({round(one.period / time, 8) for one in seen if one is not None})
     assert found == [{6.08239554, 6.88059773, 7.43702046}] * 2
 

@@ -93,7 +93,7 @@ def held_back() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    waiting: list[int] = []
+    waiting = []
     with _handled(lambda number, _: waiting.append(number)), undisturbed():
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:

@@ -88,26 +88,13 @@ class ClosedLoop:
         return Signature(*self.numbers, resampled(self.times, self.states, len(angles)), angles)
 
 
-def attempt(
-    context: Context,
-    seed: int,
-    index: int,
-    known: ArrayLike | None = None,
-    source: Table | None = None,
-) -> Attempt:
-    """One start from its number to its orbit and certificate; with a `source` from the orbit of that document.
-
-    Where an orbit with the same numbers (energy, period, |action|) is among the `known` (k x 3), only the
-    signature is made: whoever asked is to judge whether it is that orbit.
-    """
-    (made,) = attempts(context, seed, [Job(index, known is None, source)], () if known is None else known)
-    return made
-
-
 def attempts(context: Context, seed: int, jobs: Sequence[Job], known: ArrayLike) -> list[Attempt]:
-    """The same of several, side by side; what each leads to does not depend on the others.
+    """Starts from their numbers to their orbits and certificates, side by side; what each leads to does not depend on
+    the others.
 
-    Those that seem to have led to the same orbit are certified once.
+    Where an orbit with the same numbers (energy, period, |action|) is among the `known` (k x 3), only the signature is
+    made, but for a job that is `certain`: whoever asked is to judge whether it is that orbit. Those that seem to have
+    led to the same orbit are certified once.
     """
     began, made, numbers = time.process_time(), list[Attempt](), list(np.reshape(known, (-1, 3)))
     courses = abreast([course(context, seed, job) for job in jobs])
@@ -226,7 +213,7 @@ def turns(context: Context, nodes: np.ndarray, end: np.ndarray) -> tuple[int, ..
     """Whole turns of each coordinate over the guess, to the nearest."""
     n = context.model.degrees_of_freedom
     whole = np.round((end - nodes[0])[:n] / (2 * np.pi))
-    return tuple(int(k) for k in np.where(context.model.angular, whole, 0))
+    return tuple(map(int, np.where(context.model.angular, whole, 0)))
 
 
 def solved(context: Context, problem: Problem, w: Unknowns) -> Course[ClosedLoop]:
@@ -287,7 +274,7 @@ def minimal(context: Context, loop: ClosedLoop) -> Course[ClosedLoop]:
     whole = np.append(loop.problem.turns, loop.problem.forcing_cycles)
     covers = np.arange(2, context.settings.largest_cover + 1)
     covers = covers[~np.any(whole % covers[:, None], axis=1)]
-    near: list[bool] = []
+    near = []
     if len(covers):
         states = loop.states / context.sizes
         near = [
@@ -322,5 +309,5 @@ def origin(seed: int, start: SearchStart) -> Entries:
         "index": start.index,
         "strategy": start.strategy,
         "symmetry_imposed": start.symmetry,
-        "start": {"state": [float(x) for x in start.state], "period": start.period} | course,
+        "start": {"state": start.state.tolist(), "period": start.period} | course,
     }

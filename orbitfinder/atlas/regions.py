@@ -135,7 +135,7 @@ class Attractor:
             vector_field(accelerations(model)),
             np.linspace(0.0, SETTINGS.spans * longest, 2 * SETTINGS.samples),
         )
-        kept: list[np.ndarray] = []
+        kept = []
         for start in random_states(model, clock):
             try:
                 before, path = np.split(integrate(field, start, times, SETTINGS.loose), 2)
@@ -164,16 +164,11 @@ class Attractor:
     def fixed(self, reversal: Involution, random: np.random.Generator) -> np.ndarray:
         """Such a state, put into the fixed set."""
         x, signs = self.drawn(random), np.broadcast_to(reversal.signs, self.lengths.size)
-        return np.asarray(np.where(signs < 0, np.pi * self.angles * random.integers(0, 2, signs.size), x))
+        return np.where(signs < 0, np.pi * self.angles * random.integers(0, 2, signs.size), x)
 
 
 Region = Level | Attractor
 """Where states (d) are drawn from"""
-
-
-def region_of(model: Model, level: float, longest: float) -> Region:
-    """The level set of an integral, or the attractors of a system without one. Raises `InputError`."""
-    return Level.of(model, level) if model.invariants else Attractor.of(model, longest)
 
 
 def _with_rates(model: Model, lengths: np.ndarray, clock: float) -> np.ndarray:

@@ -247,10 +247,6 @@ class Search:
             assert attempt.signature is not None and number is not None
             self._atlas.remember(number, attempt.signature)
             workers.learn(attempt.signature.numbers)
-        self._count(outcome, attempt)
-        return True
-
-    def _count(self, outcome: str, attempt: Attempt) -> None:
         statistics = self.statistics
         statistics.done += 1
         self._latest.append(attempt.seconds)
@@ -263,6 +259,7 @@ class Search:
         limit.note(f"{statistics.done} starts of this run are in the atlas; the same search goes on from there")
         if self._progress:
             self._progress(statistics)
+        return True
 
 
 def record(atlas: Atlas, search: int, attempt: Attempt) -> tuple[str, int | None]:

@@ -435,9 +435,7 @@ class Derived(NamedTuple):
         return np.asarray(ends & np.isfinite(self.transitions).all(axis=(1, 2, 3)))
 
 
-@lru_cache(maxsize=256)
-def _mesh(fraction: float, segments: int, steps: int) -> np.ndarray:
-    return uniform(fraction, segments, steps)
+_mesh = lru_cache(maxsize=256)(uniform)
 
 
 def _evaluated(trials: Sequence[tuple[Rank, np.ndarray, np.ndarray]]) -> None:
@@ -590,7 +588,7 @@ def corrected(scaled: ScaledLoop, at: ValleyPoint, length: float) -> Course[Vall
 
         def step(_: np.ndarray) -> np.ndarray:
             bordered = np.block([[point.jacobian, -at.left[:, None]], [at.right[None], np.zeros((1, 1))]])
-            return np.asarray(np.linalg.solve(bordered, np.append(-rest, 0.0))[:-1])
+            return np.linalg.solve(bordered, np.append(-rest, 0.0))[:-1]
 
         hold = largest(rest) < max(how.slack * abs(point.mu), how.round_off)
         return np.zeros(0) if hold else rest, step

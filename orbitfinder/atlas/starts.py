@@ -18,11 +18,10 @@ from scipy.optimize import brentq
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.atlas.abreast import Course, Marched, alone
 from orbitfinder.atlas.controlled import Controlled, problem_of
-from orbitfinder.atlas.regions import Attractor, Region, region_of
+from orbitfinder.atlas.regions import Attractor, Level, Region
 from orbitfinder.atlas.sections import TURNS as TURNED
 from orbitfinder.atlas.sections import EventSection
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.integrate.cvodes import Flow, build_flow
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin, pin
@@ -44,7 +43,7 @@ from orbitfinder.loops.symmetry import (
     with_mirrors,
 )
 from orbitfinder.mechanics.model import Model, wrapped
-from orbitfinder.mechanics.scales import alike, given_or, snapped, unless_one
+from orbitfinder.mechanics.scales import alike, given_or, snapped
 from orbitfinder.orbits.guesses.modes import normal_modes, resting_place
 
 CYCLES = 3
@@ -109,7 +108,7 @@ class Target:
 class Context:
     """Everything about a model that starts share.
 
-    Equations and flows by the symmetry imposed (only those that the model has), the step (s) of the
+    Equations by the symmetry imposed (only those that the model has), the step (s) of the
     cheap stage, the equilibrium and the normal modes about it, the strategies that take turns, the lengths (n) of the
     energy shell.
     """
@@ -121,7 +120,6 @@ class Context:
     strategies: tuple[str, ...]
     lengths: np.ndarray
     equations: Mapping[str, Equations] = field(default_factory=dict)
-    flows: Mapping[str, Flow] = field(default_factory=dict)
     problems: Mapping[str, Problem] = field(default_factory=dict)
     """one each, whose guess is to be another"""
     step: float = 0.0
@@ -224,19 +222,18 @@ def context_of(model: Model, target: Target) -> Context:
 
 
 def _ready(context: Context, chosen: Mapping[str, Symmetry], place: np.ndarray) -> Context:
-    """With equations and flows by the symmetries that are imposed, and the step of the cheap stage."""
-    model, units = context.model, unless_one(context.units)
+    """With equations by the symmetries that are imposed, and the step of the cheap stage."""
+    model = context.model
     equations = {name: Equations(model, symmetry, alone=True) for name, symmetry in chosen.items()}
-    flows = {name: build_flow(model, (), symmetry.unfolded(model), units=units) for name, symmetry in chosen.items()}
     guess = Guess(place, context.target.periods[1])
     problems = {name: Problem(model, guess, pin=context.pins, symmetry=name) for name in equations}
-    ready = replace(context, equations=equations, flows=flows, problems=problems)
+    ready = replace(context, equations=equations, problems=problems)
     return replace(ready, step=calibrated(ready))
 
 
 def _alone(model: Model, target: Target) -> Context:
     """The shared part of a search of a first-order system."""
-    region = region_of(model, target.energy, target.periods[1])
+    region = Level.of(model, target.energy) if model.invariants else Attractor.of(model, target.periods[1])
     prepare(model)
     place = region.drawn(np.random.default_rng(0))
     held = [mirror for mirror in involutions(model) if Symmetry((mirror,), True).held_by(model, place)]
@@ -411,10 +408,6 @@ def on_shell(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarr
 
 def at_rest(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The state of rest where the ray from q (V < E) along `direction` first meets V = E."""
-
-    def excess(length: float) -> float:
-        return potential(context, q + length * direction) - context.target.energy
-
     unit = np.linalg.norm(direction / context.lengths)
     lengths = np.linspace(0.0, 2 * np.pi, 64) / unit
     march, given = context.equations[NONE.name].march.arcs[0], context.model.parameter_values[None]
@@ -423,7 +416,10 @@ def at_rest(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarra
     if not beyond.size:
         raise ConvergenceError("the ray does not meet the energy")
     above = float(beyond[0])
-    root = brentq(excess, above - lengths[1], above, xtol=1e-14 * np.linalg.norm(direction) / unit)
+    root = brentq(
+        lambda length: potential(context, q + length * direction) - context.target.energy,
+        above - lengths[1], above, xtol=1e-14 * np.linalg.norm(direction) / unit,
+    )  # fmt: skip
     return np.concatenate([q + root * direction, np.zeros(q.size)])
 
 

@@ -222,7 +222,7 @@ class Atlas(Shown):
         if not rows:
             raise InputError(f"{self.path}: system: missing; the atlas has not been searched into yet")
         document = json_document(rows[0][0].encode(), f"{self.path}: system", RESTORE)
-        return read_as(dict[str, Any], document, f"{self.path}: system", RESTORE)  # type: ignore[no-any-return]
+        return read_as(Entries, document, f"{self.path}: system", RESTORE)  # type: ignore[no-any-return]
 
     def select(self, kinds: Sequence[Any], question: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         """The rows that answer a SELECT, every column of its kind (see `reading.read_as`). Raises `InputError`."""

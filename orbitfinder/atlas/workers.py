@@ -163,7 +163,7 @@ class LocalWorkers(Workers):
     def __init__(self, request: Request, count: int) -> None:
         super().__init__(request)
         self._again: list[Job] = []
-        self._workers: list[Worker] = []
+        self._workers = []
         self._false_starts = 0
         for _ in range(count):
             self._workers.append(self._started())
@@ -185,7 +185,7 @@ class LocalWorkers(Workers):
 
     def results(self, timeout: float) -> list[tuple[Job, Attempt]]:
         """Attempts that have come in; dead workers are replaced, their starts repeated once."""
-        ended: list[tuple[Job, Attempt]] = []
+        ended = []
         ready = wait([hand.pipe for hand in self._workers], timeout)
         for k, worker in enumerate(self._workers):
             if worker.pipe in ready:

@@ -70,14 +70,11 @@ def display(begins: str, every: float = 0.0, refresh: float = 0.0) -> Iterator[D
         with Live(_panel(Report(begins)), console=console, transient=True, **quiet) as live:
             live.refresh()
 
-            def show(progress: Report) -> None:
-                live.update(_panel(progress), refresh=True)
-
             def say(line: str) -> None:
                 live.update("", refresh=True)
                 _said(lambda text: live.console.print(text), line)
 
-            yield Display(paced(show, refresh), say, live=True)
+            yield Display(paced(lambda progress: live.update(_panel(progress), refresh=True), refresh), say, live=True)
 
 
 def time_left(*before: float) -> Callable[[float, float], str]:

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
-from orbitfinder.cli.options import finish, json_option, next_step, option, text, usual
+from orbitfinder.cli.options import finish, json_option, next_step, option, picked, text, usual
 from orbitfinder.errors import InputError, closest, plural
-
-if TYPE_CHECKING:
-    from orbitfinder.problemfile.shipped import Shipped
 
 
 @click.group(name="problems")
@@ -47,11 +43,7 @@ def list_(kind: str | None) -> None:
         for row in rows:
             text(f"  {row.name:<{max(len(other.name) for other in rows)}}  {row.title}")
     text(f"{plural(len(files), 'problem file')}; orbitfinder problems copy NAME, KIND or all")
-    finish("problems", {"problems": [_document(file) for file in files]})
-
-
-def _document(file: Shipped) -> dict[str, Any]:
-    return {"name": file.name, "kind": file.kind, "title": file.title, "command": file.command}
+    finish("problems", {"problems": picked(files, "name kind title command")})
 
 
 @problems.command()
@@ -71,7 +63,7 @@ def show(name: str) -> None:
     (file,) = chosen([name])
     content = file.path.read_text(encoding="utf-8")
     text(content.rstrip())
-    finish("problem", _document(file) | {"text": content})
+    finish("problem", picked([file], "name kind title command")[0] | {"text": content})
 
 
 @problems.command()

@@ -15,6 +15,7 @@ from orbitfinder.cli.continue_ import origin_of
 from orbitfinder.cli.jobs import folder_of, named_orbits, orbit_and_model
 from orbitfinder.cli.options import FILES, FINITE, NUMBERS, finish, option, picked, text, usual
 from orbitfinder.errors import InputError, plural
+from orbitfinder.records.reading import Entries
 from orbitfinder.records.registry import held, load, load_orbit
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def plane_options(command: Any) -> Any:
     return option("plane", "The plane; default: by the system.", metavar="NAME=VALUE")(command)
 
 
-def chosen_plane(plane: str | None, axes: str, direction: str) -> dict[str, Any]:
+def chosen_plane(plane: str | None, axes: str, direction: str) -> Entries:
     """What --plane, --axes and --direction mean to the library."""
     names = tuple(word.strip() for word in axes.split(",") if word.strip())
     return {"plane": plane, "axes": names or None, "direction": DIRECTIONS[direction]}
@@ -100,7 +101,7 @@ def section(
     })  # fmt: skip
 
 
-def mapped(crossed: Section, model: of.Model, duration: float, written: list[Path]) -> dict[str, Any]:
+def mapped(crossed: Section, model: of.Model, duration: float, written: list[Path]) -> Entries:
     """The frequencies of a section's motions beside it: frequencies.csv and .png."""
     import numpy as np
 

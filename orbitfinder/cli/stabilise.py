@@ -62,7 +62,14 @@ def stabilise(
         if made.stabilised and trial["disturbances"]:
             note(f"{orbit.name}: {len(trial['sizes']) * trial['disturbances']} motions of {trial['periods']} periods")
             made = of.basin(made, model=own, out=out, **trial)
-            _print_basin(made)
+            assert made.basin is not None
+            names = "".join(f"{f'peak {name}':>16}{f'rms {name}':>16}" for name in made.actuators)
+            near, periods = made.basin.near, made.basin.periods
+            text(f"  returned: within {near:.2g} of the disturbance in the last of {periods} periods")
+            text(f"  {'size':>8}{'returned':>12}{names}")
+            for row in made.basin.rows:
+                efforts = "".join(f"{a:>16.4g}{b:>16.4g}" for a, b in zip(row.peak, row.rms, strict=True))
+                text(f"  {row.size:>8g}{f'{row.returned}/{row.count}':>12}{efforts}")
         written = [of.save_controller(made, folder / "controller.json")]
     if made.stabilised:
         written += of.export_controller(made, folder, own)
@@ -88,13 +95,3 @@ def _print_design(made: of.Controller) -> None:
     failed = made.certificate.failures if made.certificate else ["unchecked"]
     verdict = "stabilised" if made.stabilised else f"NOT stabilised ({', '.join(failed)})"
     text(f"{made.name}: {verdict} by {', '.join(made.actuators)}")
-
-
-def _print_basin(made: of.Controller) -> None:
-    assert made.basin is not None
-    names = "".join(f"{f'peak {name}':>16}{f'rms {name}':>16}" for name in made.actuators)
-    text(f"  returned: within {made.basin.near:.2g} of the disturbance in the last of {made.basin.periods} periods")
-    text(f"  {'size':>8}{'returned':>12}{names}")
-    for row in made.basin.rows:
-        efforts = "".join(f"{a:>16.4g}{b:>16.4g}" for a, b in zip(row.peak, row.rms, strict=True))
-        text(f"  {row.size:>8g}{f'{row.returned}/{row.count}':>12}{efforts}")

@@ -128,10 +128,10 @@ def parameter(given: str) -> tuple[str, list[float]]:
             first, last, count = numbers.split(":")
             if not 1 <= int(count) <= 1_000_000:
                 raise ValueError(f"{count} values, give 1 to 1000000")
-            return name.strip(), [float(x) for x in np.linspace(float(first), float(last), int(count))]
+            return name.strip(), np.linspace(float(first), float(last), int(count)).tolist()
         if not equals:
             raise ValueError("no =")
-        return name.strip(), [float(word) for word in numbers.split(",")]
+        return name.strip(), [*map(float, numbers.split(","))]
     except ValueError as error:
         raise InputError(
             f"--parameter: {given[:60]!r} names no values ({error}); give NAME=FROM:TO:COUNT or NAME=V,V,..."

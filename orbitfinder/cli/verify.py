@@ -232,8 +232,9 @@ def _finish(results: list[Entries]) -> None:
 
 def _refuse(given: Table, why: str) -> None:
     """`InputError` for an option that is given and has no meaning."""
-    for name in (name for name, value in given.items() if value is not None):
-        raise InputError(f"--{name}: {why}, leave it out")
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(f"--{name}: {why}, leave it out")
 
 
 def _orbits_in(file: Path) -> list[tuple[Path, bool]]:
@@ -316,7 +317,14 @@ def _prove_branch(
     target = file.parent / "branch-proof.json"
     if record:
         check_writable(file.parent, "--record")
-        _keep_wider(target, low, high)
+        # a proof that is there of more than this is kept
+        known = None
+        with suppress(InputError):  # damaged, of an older version, or none
+            known = load(target)
+        if known is not None and known.proved and not low <= known.low <= known.high <= high:
+            there, wanted = (f"{ends[0]!r} to {ends[1]!r}" for ends in ((known.low, known.high), (low, high)))
+            raise InputError(f"{target}: from: {there} is proved there, and {wanted} asked for; that is not written "
+                             "over: give a wider range, --no-record, or move that file")  # fmt: skip
     model = provable_model(family.points[0], trusted(file, trust))
     branch = prove_branch(family, low, high, model, partial(_say, family.name), given.get("symmetry"))
     interrupt.check()
@@ -325,17 +333,6 @@ def _prove_branch(
     _print_branch(f"{file} ({family.name})", branch)
     passed = branch.proved and all(passage.proved for passage in branch.passages)
     finish("proof", {"passed": passed} | branch_document(branch), passed)
-
-
-def _keep_wider(file: Path, low: float, high: float) -> None:
-    """`InputError` where the proof is there of what a new one would leave out."""
-    known = None
-    with suppress(InputError):  # damaged, of an older version, or none
-        known = load(file)
-    if known is not None and known.proved and not low <= known.low <= known.high <= high:
-        there, wanted = (f"{ends[0]!r} to {ends[1]!r}" for ends in ((known.low, known.high), (low, high)))
-        raise InputError(f"{file}: from: {there} is proved there, and {wanted} asked for; that is not written over: "
-                         "give a wider range, --no-record, or move that file")  # fmt: skip
 
 
 def _prove_rest(files: tuple[Path, ...], known: set[str], record: bool, trust: bool, given: Entries) -> None:
@@ -406,7 +403,7 @@ def _print_words(heading: str, proof: BorderedRecord | ConnectionRecord) -> None
         text(f"  {name:<12}{said}")
 
 
-def verify_connection(file: Path, trust: bool = False) -> Entries:
+def verify_connection(file: Path, trust: bool) -> Entries:
     """Replay a recorded proof of a connection: `passed`, and `message`, a sentence."""
     from orbitfinder.proof.connections import read_connection_proof, replayed_connection, unproved_claims
     from orbitfinder.proof.theorem import provable_system
@@ -440,7 +437,7 @@ def _shown(ball: Table) -> str:
     return f"{Decimal(ball['value']):.{places}g} +/- {within:.0e}"
 
 
-def verify_rest(file: Path, trust: bool = False) -> Entries:
+def verify_rest(file: Path, trust: bool) -> Entries:
     """Replay a recorded proof of equilibria: `passed`, and `message`, a sentence."""
     from orbitfinder.proof.equilibria import CODEC, replay_equilibria
     from orbitfinder.proof.theorem import provable_system
@@ -467,12 +464,13 @@ def _print_branch(heading: str, branch: ProvedBranch) -> None:
         text(f"  {'event':<12}{said}: {event.test} from {event.low} to {event.high}: {verdict}{more}")
 
 
-def verify_branch(file: Path, trust: bool = False) -> Entries:
+def verify_branch(file: Path, trust: bool) -> Entries:
     """Replay a recorded proof of a branch: `passed`, and `message`, a sentence."""
-    from orbitfinder.proof.branch import branch_model, contradictions, read_branch, replayed
+    from orbitfinder.mechanics.kind import build_model
+    from orbitfinder.proof.branch import contradictions, read_branch, replayed
 
     recorded = read_branch(file)
-    again = replayed(recorded, branch_model(recorded, trusted(file, trust)), note)
+    again = replayed(recorded, build_model(dict(recorded.system), trusted(file, trust)), note)
     wrong = contradictions(recorded, again) if again.proved else [again.reason]
     borne = [passage for passage in again.passages if passage.proved]
     return _replayed(wrong, again, f"{plural(len(again.pieces), 'piece')}, {plural(len(borne), 'event')}")
@@ -498,7 +496,7 @@ def _prove_event(files: tuple[Path, ...], number: int, options: Options, record:
     finish("proof", events.document(event), event.proved)
 
 
-def verify_event(file: Path, trust: bool = False) -> Entries:
+def verify_event(file: Path, trust: bool) -> Entries:
     """Replay a recorded proof of an event: `passed`, and `message`, a sentence."""
     from orbitfinder.mechanics.kind import build_model
     from orbitfinder.proof.bordered import false_claims, read_event, replayed_event
@@ -532,7 +530,7 @@ def _print_proof(heading: str, proof: Proof | None, document: Entries) -> None:
         text(f"  {'multiplier':<12}{mu.str(12)}")
 
 
-def verify_proof(file: Path, trust: bool = False) -> Entries:
+def verify_proof(file: Path, trust: bool) -> Entries:
     """Replay the proof recorded in a file: `passed`, and `message`, a sentence."""
     from orbitfinder.proof.record import read_entry, replay
     from orbitfinder.proof.theorem import provable_model

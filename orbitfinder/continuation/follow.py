@@ -183,10 +183,10 @@ class Keeping(Protocol):
     def record(self, point: Point) -> Any:
         """What is kept of a point, certified."""
 
-    def write(self, point: Point, record: Any) -> Mapping[str, Any]:
+    def write(self, point: Point, record: Any) -> Table:
         """Both in plain numbers."""
 
-    def read(self, entry: Mapping[str, Any]) -> tuple[Point, Any]:
+    def read(self, entry: Table) -> tuple[Point, Any]:
         """Both from what was written."""
 
 
@@ -307,9 +307,9 @@ def turning(first: tuple[float, float], second: tuple[float, float], third: tupl
 class _Line:
     """What a step adds: points at values of the quantity, events by name, the point that it ends in."""
 
-    at: tuple[tuple[float, Mapping[str, Any]], ...] = ()
-    events: tuple[tuple[str, Mapping[str, Any]], ...] = ()
-    step: Mapping[str, Any] | None = None
+    at: tuple[tuple[float, Table], ...] = ()
+    events: tuple[tuple[str, Table], ...] = ()
+    step: Table | None = None
     end: End | None = None
 
 

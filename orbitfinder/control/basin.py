@@ -30,7 +30,7 @@ from orbitfinder.mechanics.model import Model, constraint_of, vector_field
 from orbitfinder.mechanics.newton import closed, least_norm
 from orbitfinder.records.codec import plain
 from orbitfinder.records.journal import checkpoints, fill, packed, unpacked
-from orbitfinder.records.reading import Table, content_digest
+from orbitfinder.records.reading import content_digest
 
 
 @dataclass(frozen=True)
@@ -109,11 +109,8 @@ def basin(
         return [trial.states, trial.times, trial.places, trial.lost, far, most, peak, power]
 
     begin = 0, np.column_stack(now())
-
-    def read(entry: Table) -> tuple[int, np.ndarray]:
-        return int(entry["period"]), unpacked(entry["motions"], begin[1].shape[1])
-
-    with checkpoints(path, request, read) as journal:
+    width = begin[1].shape[1]
+    with checkpoints(path, request, lambda entry: (int(entry["period"]), unpacked(entry["motions"], width))) as journal:
         known = [line for line in journal.known if line[0] <= periods]
         done, motions = max(known, key=lambda line: line[0], default=begin)
         fill(now(), motions)
@@ -251,7 +248,7 @@ class _Watch:
     def crossed(self, x: np.ndarray, u: np.ndarray, before: np.ndarray) -> np.ndarray:
         """Which guards (k x e) are beyond 0 where they were not `before`, and count."""
         seen, e = self.seen(x, u), self.count
-        return np.asarray(before.reshape(len(x), -1) & (seen[:, :e] >= 0) & (seen[:, e : 2 * e] > 0))
+        return before.reshape(len(x), -1) & (seen[:, :e] >= 0) & (seen[:, e : 2 * e] > 0)
 
     def breaks(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Where (k) something does not hold."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +51,7 @@ def export_controller(controller: Controller, folder: str | Path, model: Model |
         raise InputError(f"{controller.name}: its certificate does not hold, so it is not exported; stabilise it anew")
     target, word = Path(folder), word_of(controller.name)
     target.mkdir(parents=True, exist_ok=True)
-    files: dict[str, Callable[[Controller, tuple[str, ...]], str]] = {
+    files = {
         f"{word}_gains.csv": gains_text, f"{word}_controller.c": c_text, f"{word}_controller.py": python_text,
     }  # fmt: skip
     for name, text in files.items():

@@ -237,7 +237,7 @@ def _weight(name: str, given: Weight, size: int) -> np.ndarray:
         raise InputError(
             f"{name}: must be a number, {size} numbers or a {size} x {size} matrix, {wanted}; got {given!r}"
         )
-    return np.asarray((matrix + matrix.T) / 2)
+    return (matrix + matrix.T) / 2
 
 
 def _regulated(orbit: Orbit, reference: Reference, weight: np.ndarray, ease: np.ndarray) -> Controller:

@@ -109,7 +109,7 @@ def recorded(
     turns = np.asarray(problem.turns, int)
     seen = gather_controlled(model, w.nodes[0], w.period, turns, entry, problem.symmetry, problem.relative)
     fit = seen.fit
-    entry |= {"cost": fit.cost, "multipliers": dict(fit.multipliers), "costate": [float(x) for x in fit.costate]}
+    entry |= {"cost": fit.cost, "multipliers": dict(fit.multipliers), "costate": fit.costate.tolist()}
     said = provenance(problem, settings, began)
     said |= {"method": control.method, "iterations": solution.iterations, "steps": program.parts.steps,
              "optimum": "local: that nothing else costs less is not shown"}  # fmt: skip
@@ -117,9 +117,9 @@ def recorded(
     orbit = Orbit(
         name=problem.name, title=problem.title, source=problem.source, system=model.system, state=w.nodes[0].copy(),
         period=float(w.period), energy=seen.energy, action=seen.action, closure=seen.closure,
-        symmetry=problem.boundary.name, winding=tuple(int(k) for k in turns),
+        symmetry=problem.boundary.name, winding=tuple(turns.tolist()),
         floquet_multipliers=seen.floquet.multipliers, pair_defect=0.0, stability=seen.floquet.stability,
-        unfolding=tuple(float(value) for value in w.unfolding), nodes=seen.nodes, times=seen.times, samples=seen.states,
+        unfolding=tuple(w.unfolding.tolist()), nodes=seen.nodes, times=seen.times, samples=seen.states,
         tolerance=problem.tolerance, expected=problem.expected, provenance=said, shift=seen.shift, control=entry,
     )  # fmt: skip
     return orbit, model
@@ -132,14 +132,14 @@ def _entry(problem: Problem, program: Program, solution: Optimum, values: Mappin
         "names": list(program.parts.model.controls),
         "arcs": program.parts.basis.arcs, "shape": control.shape, "intervals": control.intervals,
         "harmonics": control.harmonics,
-        "coefficients": [[float(x) for x in row] for row in solution.coefficients],
+        "coefficients": solution.coefficients.tolist(),
         "limits": {name: list(pair) for name, pair in program.parts.model.limits.items()},
         "cost_of": control.cost, "average": control.average, "final": control.final,
         "tasks": [{name: value for name, value in vars(task).items() if value is not None} for task in control.tasks],
         "points": program.parts.steps, "method": control.method,
         "free": list(problem.free), "bounds": {name: list(pair) for name, pair in problem.bounds.items()},
         "pins": [pin.name for pin in problem.pin],
-        "normals": [[float(x) for x in row] for row in solution.normals],
+        "normals": solution.normals.tolist(),
         "shares": {name: value for name, value in values.items() if name.startswith(SHARE)},
     }  # fmt: skip
 

@@ -187,11 +187,6 @@ class Arrangement:
         return len(self.free) + len(self.varied)
 
     @property
-    def first_free(self) -> int:
-        """Where they begin among what is given of a segment."""
-        return 2 + len(self.model.controls) * self.basis.local
-
-    @property
     def unfolding(self) -> int:
         """How many parameters unfold the loop."""
         return 0 if self.basis.arcs else len(self.symmetry.unfolded(self.model))
@@ -238,7 +233,8 @@ class Arrangement:
     def watched(self, arc: int, tasks: Sequence[Task]) -> ca.Function:
         """(share, x, s, given, period) -> expressions of tasks (k) at a place of the motion."""
         inputs, _, p, _ = self.driven(arc, self.mode(arc).symbol)
-        x, free, period = inputs[1], inputs[3][self.first_free :], type(inputs[1]).sym("period")
+        first = 2 + len(self.model.controls) * self.basis.local  # of what is given of a segment
+        x, free, period = inputs[1], inputs[3][first:], type(inputs[1]).sym("period")
         rows = [self.task(task, x, p, free, period) for task in tasks]
         return ca.Function("watched", [*inputs, period], [ca.densify(type(inputs[1])(ca.vertcat(*rows)))])
 
@@ -252,7 +248,7 @@ class Arrangement:
 def mirror_of(model: Model, symmetry: Symmetry) -> np.ndarray:
     """What a symmetry makes of a state (d x d)."""
     first, last = symmetry.rows(model.degrees_of_freedom)
-    return np.asarray(-np.linalg.solve(last, first))
+    return -np.linalg.solve(last, first)
 
 
 def signs_of(model: Model, symmetry: Symmetry) -> tuple[int, ...]:
@@ -691,7 +687,7 @@ def _first_points(guess: Unknowns, parts: Arrangement, collocation: bool) -> np.
 
 def _closed(parts: Arrangement, stated: Statement, at: np.ndarray) -> np.ndarray:
     equal, expressed = stated.low == stated.high, stated.expressed
-    chosen = [int(k) for k in np.flatnonzero(equal)]
+    chosen = np.flatnonzero(equal).tolist()
 
     def derived() -> ca.Function:
         equations = expressed.rows[chosen]

@@ -66,7 +66,7 @@ class Regulator:
     @property
     def monodromy(self) -> np.ndarray:
         """The closed loop's state-transition matrix (m x m) over the period."""
-        return np.asarray(reduce(lambda before, after: after @ before, self.transitions))
+        return reduce(lambda before, after: after @ before, self.transitions)
 
 
 def periodic(pieces: Sequence[Scattering]) -> Regulator:

@@ -83,7 +83,7 @@ class Stationary:
         extra = not varying.unknown
         self.place = n if extra else n - 1 if program.parts.varied else (
             w.vector.size - w.free.size + program.parts.free.index(varying.unknown))  # fmt: skip
-        rows = ca.vertcat(stated.rows, v[[int(k) for k in self.boxed]])
+        rows = ca.vertcat(stated.rows, v[self.boxed.tolist()])
         y, z = ca.MX.sym("y", rows.numel()), ca.vertcat(v, ca.MX.sym("theta", int(extra)))
         self._first = ca.Function("first", [z], [cost, ca.gradient(cost, z), rows, ca.jacobian(rows, z)])
         self._second = ca.Function("second", [z, y], [ca.hessian(cost + ca.dot(y, rows), z)[0]])
@@ -280,7 +280,7 @@ class Stationary:
         for _ in range(20):
             point = self.corrected(z, Extremal(z, self._fitted(bare, active), active), unit)
             margins, sides = self.margins(point)
-            wrong = [int(k) for k in np.flatnonzero(margins < -VIOLATED)]
+            wrong = np.flatnonzero(margins < -VIOLATED).tolist()
             if not wrong:
                 return point
             active = {k: side for k, side in active.items() if k not in wrong}

@@ -94,7 +94,18 @@ class Reference:
 
     @cached_property
     def _march(self) -> March:
-        return March(_hamiltonian(self), self.model.forced, effort=EFFORT)
+        """Of (x, vec Z), Z (2d x 2d) the state-transition matrix of (dy, l); free: vec Q, vec R^-1."""
+        size, count = self.units.size, len(self.names)
+        t, s, whole = ca.MX.sym("t"), ca.MX.sym("s", 0), ca.MX.sym("whole", size + 4 * size**2)
+        free = ca.MX.sym("free", size**2 + count**2)
+        weight, ease = ca.reshape(free[: size**2], size, size), ca.reshape(free[size**2 :], count, count)
+        rate, by_state, by_control, across = _slopes(self)(t, whole[:size], ca.DM(self.inputs))
+        above = ca.horzcat(by_state, -by_control @ ease @ by_control.T)
+        below = ca.horzcat(-across @ weight @ across, -by_state.T)
+        moved = ca.vertcat(above, below) @ ca.reshape(whole[size:], 2 * size, 2 * size)
+        field = ca.vertcat(rate * ca.DM(self.units), ca.vec(moved))
+        function = ca.Function("hamiltonian", [t, whole, s, free], [field], {"never_inline": True})
+        return March(function, self.model.forced, effort=EFFORT)
 
     def pieces(self, weight: np.ndarray, ease: np.ndarray) -> list[Scattering]:
         """The regulator's scattering from node to node by Q (d x d) and R^-1 (m x m), all in units.
@@ -156,17 +167,3 @@ def _slopes(reference: Reference) -> ca.Function:
     by_state = ca.jacobian(rate, x) * (1 / units @ units.T)
     by_control = ca.jacobian(rate, u) / ca.repmat(units, 1, u.numel())
     return ca.Function("slopes", [t, x, u], [*map(ca.densify, (rate / units, by_state, by_control, across))])
-
-
-def _hamiltonian(reference: Reference) -> ca.Function:
-    """The field of (x, vec Z), Z (2d x 2d) the state-transition matrix of (dy, l); free: vec Q, vec R^-1."""
-    size, count = reference.units.size, len(reference.names)
-    t, s, whole = ca.MX.sym("t"), ca.MX.sym("s", 0), ca.MX.sym("whole", size + 4 * size**2)
-    free = ca.MX.sym("free", size**2 + count**2)
-    weight, ease = ca.reshape(free[: size**2], size, size), ca.reshape(free[size**2 :], count, count)
-    rate, by_state, by_control, across = _slopes(reference)(t, whole[:size], ca.DM(reference.inputs))
-    above = ca.horzcat(by_state, -by_control @ ease @ by_control.T)
-    below = ca.horzcat(-across @ weight @ across, -by_state.T)
-    moved = ca.vertcat(above, below) @ ca.reshape(whole[size:], 2 * size, 2 * size)
-    field = ca.vertcat(rate * ca.DM(reference.units), ca.vec(moved))
-    return ca.Function("hamiltonian", [t, whole, s, free], [field], {"never_inline": True})

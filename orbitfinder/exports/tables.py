@@ -31,37 +31,24 @@ def table_bytes(columns: Table, to: str, told: Told | None = None, system: Table
     Raises `InputError` for parquet without its extra.
     """
     if to == "parquet":
-        return _parquet(columns, told or {}, json.dumps(dict(system or {}), sort_keys=True))
+        try:
+            import pyarrow  # noqa: PLC0415  an extra
+            from pyarrow import parquet  # noqa: PLC0415  an extra
+        except ImportError as error:
+            raise InputError("kind: parquet needs pyarrow; pip install 'orbitfinder[parquet]', or use csv") from error
+        table = pyarrow.table({name: np.asarray(values).tolist() for name, values in columns.items()})
+        known = {name: dict(zip(("unit", "meaning"), words, strict=True)) for name, words in (told or {}).items()}
+        fields = [table.schema.field(name).with_metadata(known.get(name)) for name in columns]
+        fields = [each.with_type(pyarrow.float64()) if pyarrow.types.is_null(each.type) else each for each in fields]
+        sink, about = io.BytesIO(), {"system": json.dumps(dict(system or {}), sort_keys=True)}
+        parquet.write_table(table.cast(pyarrow.schema(fields, about)), sink)
+        return sink.getvalue()
     rows = [*zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)]
     if to == "json":
         return json_bytes(finite([dict(zip(columns, row, strict=True)) for row in rows]))
     shown = [["" if value != value else value for value in row] for row in rows]
     csv.writer(text := io.StringIO(), lineterminator="\n").writerows([[*columns], *shown])
     return text.getvalue().encode()
-
-
-def _parquet(columns: Table, told: Told, system: str) -> bytes:
-    try:
-        import pyarrow  # noqa: PLC0415  an extra
-        from pyarrow import parquet  # noqa: PLC0415  an extra
-    except ImportError as error:
-        raise InputError("kind: parquet needs pyarrow; pip install 'orbitfinder[parquet]', or use csv") from error
-    table = pyarrow.table({name: np.asarray(values).tolist() for name, values in columns.items()})
-    known = {name: dict(zip(("unit", "meaning"), told[name], strict=True)) for name in columns if name in told}
-    fields = [table.schema.field(name).with_metadata(known.get(name)) for name in columns]
-    fields = [field.with_type(pyarrow.float64()) if pyarrow.types.is_null(field.type) else field for field in fields]
-    sink = io.BytesIO()
-    parquet.write_table(table.cast(pyarrow.schema(fields, {"system": system})), sink)
-    return sink.getvalue()
-
-
-def _told(columns: Table, model: Model) -> Told:
-    """The unit of each column of a system's table that has a unit."""
-    words, n = units(model.system), model.degrees_of_freedom
-    own = {**dict(zip(model.state_names[:n], unit_names(model), strict=True)), **given_units(model.system)}
-    own |= {"period": words["time"], "energy": words["energy"], "action": words["action"]}
-    words = {name: own.get(re.sub("^(amplitude|min|max)_", "", name), "") for name in columns}
-    return {name: (unit, "") for name, unit in words.items() if unit}
 
 
 def refuse_another(target: Path, content: bytes) -> None:
@@ -85,7 +72,12 @@ def export_table(record: Any, to: str, folder: Path, model: Model) -> list[Path]
         if target.exists() and kind_of(target):
             raise InputError(f"--out: {target} is a record, which a table would replace; give another folder")
         if of == "points" or len(next(iter(columns.values()))):
-            content = table_bytes(columns, to, _told(columns, model), record.system)
+            words, n = units(model.system), model.degrees_of_freedom
+            own = {**dict(zip(model.state_names[:n], unit_names(model), strict=True)), **given_units(model.system)}
+            own |= {"period": words["time"], "energy": words["energy"], "action": words["action"]}
+            words = {name: own.get(re.sub("^(amplitude|min|max)_", "", name), "") for name in columns}
+            told = {name: (unit, "") for name, unit in words.items() if unit}
+            content = table_bytes(columns, to, told, record.system)
             refuse_another(target, content)
             write_atomically(target, content)
             written.append(target)

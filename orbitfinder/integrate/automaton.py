@@ -151,18 +151,15 @@ class Automaton:
             if arc.ended_by is None:
                 return
             lengths.append(arc.duration)
-            self._check_zeno(lengths, arc)
+            last, nothing = lengths[-WATCHED.zeno :], WATCHED.nothing * sum(lengths)
+            if len(last) == WATCHED.zeno and all(b < a for a, b in pairwise(last)) and last[-1] < nothing:
+                raise IntegrationError(
+                    f"Zeno: events {arc.ended_by} follow each other ever faster and accumulate at t = "
+                    f"{arc.times[-1]:.6g} s; give the model a mode in which contact lasts",
+                    time=float(arc.times[-1]), state=arc.after,
+                )  # fmt: skip
             by = arc.ended_by
             x, t, mode = arc.after, float(arc.times[-1]), self.hybrid.transition(arc.ended_by).target
-
-    def _check_zeno(self, lengths: Sequence[float], arc: Arc) -> None:
-        last, nothing = lengths[-WATCHED.zeno :], WATCHED.nothing * sum(lengths)
-        if len(last) == WATCHED.zeno and all(b < a for a, b in pairwise(last)) and last[-1] < nothing:
-            raise IntegrationError(
-                f"Zeno: events {arc.ended_by} follow each other ever faster and accumulate at t = {arc.times[-1]:.6g} "
-                "s; give the model a mode in which contact lasts",
-                time=float(arc.times[-1]), state=arc.after,
-            )  # fmt: skip
 
     @np.errstate(over="ignore", invalid="ignore")
     def _arc(self, x: np.ndarray, t: float, until: float, mode: str, by: str) -> Arc:
@@ -175,8 +172,8 @@ class Automaton:
         self._asked = []
         guards = [self._watch(each.guard, each.direction, field, x, by in ("", each.name)) for each in leaving]
         holds = {name: self._watch(hold, -1, field, x) for name, hold in self.hybrid.mode(mode).holds.items()}
-        times: list[np.ndarray] = [np.zeros(1)]
-        states: list[np.ndarray] = [x[None]]
+        times = [np.zeros(1)]
+        states = [x[None]]
         for _ in range(WATCHED.most_steps):
             limit.check()
             solver.step()
@@ -230,7 +227,7 @@ class Automaton:
         dense: Callable[[float], np.ndarray], field: VectorField, begin: tuple[float, np.ndarray],
     ) -> tuple[float, np.ndarray, int] | None:  # fmt: skip
         """The first crossing that counts among those within a step: moment, state, number of its transition."""
-        crossings: list[tuple[float, np.ndarray, int]] = []
+        crossings = []
         for k, transition in enumerate(leaving):
             for before, after in guards[k].seen(looks, within, dense):
                 moment = _root(lambda t: guards[k].height(dense(t)), before, after)  # noqa: B023 - of this round

@@ -226,7 +226,18 @@ class Collocation(Gridded):
         if known is not None and np.isfinite(away):
             solved = self._from(known.moved(nodes, tails), nodes, steps, begins, tails, once)
         if solved is None:  # also where another orbit had the mesh
-            solved = self._from(self._cubic(nodes, steps, begins, tails), nodes, steps, begins, tails, once)
+            # from the cubics through nodes and rates, the last of which ends where the first begins; straight lines
+            # where steps do not follow each other
+            moments = begins * tails[:, 0] * self.forced
+            rates, ahead = tails[:, :1] * self._evaluated(moments, nodes, tails)[0], np.roll(nodes, -1, axis=0) - nodes
+            slopes, later = steps[:, None] * rates, steps[:, None] * np.roll(rates, -1, axis=0)
+            jumps = np.append(begins[1:] - begins[:-1] > 1.5 * steps[:-1], False)
+            jumps[-1] = len(nodes) == 1 or np.any(np.abs(ahead[-1]) > 0.5 * np.ptp(nodes, axis=0))
+            ahead[jumps] = later[jumps] = slopes[jumps]
+            s = self.tableau.points[:, None]
+            bent = (1 - s) * slopes[:, None] - s * later[:, None]
+            cubic = s**2 * (3 - 2 * s) * ahead[:, None] + s * (1 - s) * bent
+            solved = self._from(cubic, nodes, steps, begins, tails, once)
         if solved is None:
             raise IntegrationError("the equations of collocation do not converge; start nearer, or with a finer mesh")
         self._keep(key, solved)
@@ -249,19 +260,6 @@ class Collocation(Gridded):
             if once or change < SOLVED:
                 return Stages(nodes, tails, z, changes[:, :, 1:], integrals, change)
         return None
-
-    def _cubic(self, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray) -> np.ndarray:
-        """Stages (P x m x d) on the cubics through nodes and rates, the last of which ends where the first begins; on
-        straight lines where steps do not follow each other."""
-        moments = begins * tails[:, 0] * self.forced
-        rates, ahead = tails[:, :1] * self._evaluated(moments, nodes, tails)[0], np.roll(nodes, -1, axis=0) - nodes
-        slopes, later = steps[:, None] * rates, steps[:, None] * np.roll(rates, -1, axis=0)
-        jumps = np.append(begins[1:] - begins[:-1] > 1.5 * steps[:-1], False)
-        jumps[-1] = len(nodes) == 1 or np.any(np.abs(ahead[-1]) > 0.5 * np.ptp(nodes, axis=0))
-        ahead[jumps] = later[jumps] = slopes[jumps]
-        s = self.tableau.points[:, None]
-        bent = (1 - s) * slopes[:, None] - s * later[:, None]
-        return np.asarray(s**2 * (3 - 2 * s) * ahead[:, None] + s * (1 - s) * bent)
 
     def _newton(
         self, z: np.ndarray, nodes: np.ndarray, steps: np.ndarray, begins: np.ndarray, tails: np.ndarray
@@ -324,7 +322,7 @@ class Collocation(Gridded):
         if states:
             inner = np.stack(path, axis=1).reshape(loops, -1, size)
             whole = np.concatenate([inner, ends[:, -1:]], axis=1)
-        totals = [float(total) for total in np.reshape(integrals, (loops, -1)).sum(axis=1)]
+        totals = np.reshape(integrals, (loops, -1)).sum(axis=1).tolist()
         return list(map(Varied, ends, by_node, by_tail, whole, totals, [change] * loops))
 
     def _ended(self, stages: np.ndarray) -> np.ndarray:

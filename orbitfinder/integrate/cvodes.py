@@ -157,11 +157,9 @@ def remembered(
     conditions = (mode(), os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))  # what decides on compiling
     key = (Same(kind), Same(model), model.parameter_values.tobytes(), names, *map(Same, invariants), settings,
            conditions, units)  # fmt: skip
-
-    def built() -> Flow:
-        return kind(model, settings, names, invariants, vector_field(model, names, invariants), units)
-
-    return (_small if len(model.state_names) <= SMALL else _large)(key, built)
+    return (_small if len(model.state_names) <= SMALL else _large)(
+        key, lambda: kind(model, settings, names, invariants, vector_field(model, names, invariants), units)
+    )
 
 
 _small, _large = Kept["Flow"](2), Kept["Flow"](1)

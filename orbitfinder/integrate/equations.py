@@ -87,21 +87,24 @@ def _bound(derived: Canonical, values: np.ndarray) -> Canonical:
     return replace(derived, coordinates=replace(derived.coordinates, **bound(derived.coordinates)), **bound(derived))
 
 
+def _plain(model: Model, free: tuple[str, ...]) -> tuple[list[ca.MX], ca.MX]:
+    """t, x and the free parameters, where there are any, and f of them, nothing unfolded."""
+    t, x, p = ca.MX.sym("t"), ca.MX.sym("x", len(model.state_names)), ca.MX.sym("p", len(free))
+    return [t, x, *([p] if free else [])], vector_field(model, free, ())(t, x, ca.DM(0, 1), p)
+
+
 @_at_values
 def accelerations(model: Model, free: tuple[str, ...]) -> ca.Function:
     """The equations of motion x' = f(t, x) of a Model with its parameter values, nothing unfolded."""
-    field = vector_field(model, free, ())
-    t, x, p = ca.MX.sym("t"), ca.MX.sym("x", len(model.state_names)), ca.MX.sym("p", len(free))
-    return ca.Function("plain", [t, x, *([p] if free else [])], [field(t, x, ca.DM(0, 1), p)])
+    given, rate = _plain(model, free)
+    return ca.Function("plain", given, [rate])
 
 
 @_at_values
 def acceleration_slopes(model: Model, free: tuple[str, ...]) -> ca.Function:
     """df/dx (d x d) of the equations of motion x' = f(t, x) of a Model with its parameter values."""
-    field = vector_field(model, free, ())
-    t, x, p = ca.MX.sym("t"), ca.MX.sym("x", len(model.state_names)), ca.MX.sym("p", len(free))
-    slopes = ca.densify(ca.jacobian(field(t, x, ca.DM(0, 1), p), x))
-    return ca.Function("slopes", [t, x, *([p] if free else [])], [slopes])
+    given, rate = _plain(model, free)
+    return ca.Function("slopes", given, [ca.densify(ca.jacobian(rate, given[1]))])
 
 
 @_at_values

@@ -258,7 +258,7 @@ def as_table(name: str, table: np.ndarray) -> str:
 @lru_cache(maxsize=1)
 def _rules() -> dict[str, str]:
     """Where SciPy since 1.17 is not dop853.f (see `dop853.c`): asked of it by how often it evaluates a pendulum."""
-    asked: list[float] = []
+    asked = []
 
     def pendulum(t: float, y: np.ndarray) -> np.ndarray:
         asked.append(t)

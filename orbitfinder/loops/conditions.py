@@ -486,15 +486,6 @@ QUANTITIES = Registry(Quantity, {
 first harmonic, amplitude cos(2 pi t / T + phase)"""
 
 
-def check_constraint(constraint: Constraint) -> None:
-    """`InputError` for bounds that contradict each other."""
-    if not constraint.lower <= constraint.upper or constraint.rows < 1:
-        raise InputError(
-            f"constraints: {constraint.name} asks for {constraint.lower} <= expression <= {constraint.upper} in "
-            f"{constraint.rows} rows; give lower <= upper and at least one row"
-        )
-
-
 def check_bounds(model: Model, bounds: Mapping[str, Any], free: tuple[str, ...], pinned: tuple[str, ...]) -> None:
     """`InputError` about ranges: an unknown, fixed or pinned quantity, or two numbers in the wrong order."""
     for name, given in bounds.items():

@@ -100,7 +100,7 @@ class Curve(Loop):
     @cached_property
     def shares(self) -> np.ndarray:
         """What coordinates (n) are measured in, in rad or relative to the first: 1 where all are measured alike."""
-        return np.asarray(np.sqrt(self._unit / self.weights[: self.equations.model.degrees_of_freedom]))
+        return np.sqrt(self._unit / self.weights[: self.equations.model.degrees_of_freedom])
 
     @cached_property
     def units(self) -> np.ndarray:
@@ -138,7 +138,7 @@ class Curve(Loop):
     @cached_property
     def turns(self) -> tuple[int, ...]:
         """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
-        return tuple(int(k) for k in self.equations.symmetry.turns(self.constant))
+        return tuple(map(int, self.equations.symmetry.turns(self.constant)))
 
     @property
     def _unit(self) -> float:
@@ -325,7 +325,7 @@ def correct_each(
     curves: Sequence[Curve], guesses: Sequence[Unknowns], aims: Sequence[Condition], reach: float
 ) -> list[Solution | ConvergenceError | IntegrationError]:
     """The same of guesses on a mesh, of curves of the same equations, marched beside each other; of what fails why."""
-    results: dict[int, Solution | ConvergenceError | IntegrationError] = {}
+    results = {}
     each = zip(curves, guesses, aims, strict=True)
     steps = [_correcting(curve, guess, aim, reach=reach) for curve, guess, aim in each]
     places = {k: next(step) for k, step in enumerate(steps)}

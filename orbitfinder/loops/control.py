@@ -19,6 +19,7 @@ from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.expression import expression
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.control import DEGREES, MOST, SHAPES
+from orbitfinder.records.reading import Entries, Table
 
 METHODS = ("shooting", "collocation")
 
@@ -116,7 +117,7 @@ class Control:
     final: str = ""
     tasks: tuple[Task, ...] = ()
     method: str = "shooting"
-    guess: Mapping[str, Any] = field(default_factory=dict)
+    guess: Table = field(default_factory=dict)
     numbers: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -208,7 +209,7 @@ class Basis:
             return [
                 rest**3 / 6, (3 * share**3 - 6 * share**2 + 4) / 6, (3 * rest**3 - 6 * rest**2 + 4) / 6, share**3 / 6
             ]  # fmt: skip
-        values: list[Any] = [1.0]
+        values = [1.0]
         for k in range(1, self.harmonics + 1):
             angle = 2 * np.pi * k * phase
             values += [ca.cos(angle), ca.sin(angle)]
@@ -219,21 +220,21 @@ class Basis:
         return (0.0, 0.0) if self.arcs else (self.fraction * interval / self.intervals, self.fraction / self.intervals)
 
 
-def basis_of(entry: Mapping[str, Any]) -> Basis:
+def basis_of(entry: Table) -> Basis:
     """The basis over a whole period of a record's control."""
     arcs = int(entry.get("arcs", 0))
     count = int(entry["intervals"]) * max(arcs, 1)
     return Basis(str(entry["shape"]), count, int(entry["harmonics"]), arcs)
 
 
-def history(entry: Mapping[str, Any], period: float, looks: int = 16) -> tuple[np.ndarray, np.ndarray]:
+def history(entry: Table, period: float, looks: int = 16) -> tuple[np.ndarray, np.ndarray]:
     """Times (k) and values (k x m) of a record's controls over its period, instants where intervals meet twice."""
     edges = np.concatenate([[0.0], np.cumsum(_parts(entry))])
     times = period * (edges[:-1, None] + np.linspace(0.0, 1.0, looks + 1) * np.diff(edges)[:, None]).ravel()
     return times, controls_at(entry, period, times)
 
 
-def controls_at(entry: Mapping[str, Any], period: float, times: np.ndarray) -> np.ndarray:
+def controls_at(entry: Table, period: float, times: np.ndarray) -> np.ndarray:
     """Values (k x m) of a record's controls at times (k, s) of its period; of a time that stands twice, as at events,
     before and after it."""
     basis, rows, parts = basis_of(entry), np.array(entry["coefficients"], float), _parts(entry)
@@ -249,7 +250,7 @@ def controls_at(entry: Mapping[str, Any], period: float, times: np.ndarray) -> n
     return np.array(values)
 
 
-def pieces(entry: Mapping[str, Any], period: float) -> tuple[np.ndarray, np.ndarray]:
+def pieces(entry: Table, period: float) -> tuple[np.ndarray, np.ndarray]:
     """Where the intervals of a record's splines begin and the last ends (K + 1, s), and the coefficients (K x m x 4) of
     each control's polynomial in the share of an interval."""
     basis, rows, parts = basis_of(entry), np.array(entry["coefficients"], float), _parts(entry)
@@ -260,7 +261,7 @@ def pieces(entry: Mapping[str, Any], period: float) -> tuple[np.ndarray, np.ndar
     return period * np.concatenate([[0.0], np.cumsum(parts)]), np.array(made)
 
 
-def _parts(entry: Mapping[str, Any]) -> np.ndarray:
+def _parts(entry: Table) -> np.ndarray:
     """Of each interval of a record's control its part of the period."""
     basis, shares = basis_of(entry), list(entry.get("shares", {}).values())
     if not basis.arcs:
@@ -268,7 +269,7 @@ def _parts(entry: Mapping[str, Any]) -> np.ndarray:
     return np.repeat([*shares, 1.0 - sum(shares)], basis.each) / basis.each
 
 
-def named(model: Model, x: Any, p: Any, period: Any = None) -> dict[str, Any]:
+def named(model: Model, x: Any, p: Any, period: Any = None) -> Entries:
     """What expressions may name: components of the state, physical parameters (controls among them), the period."""
     names = {name: p[k] for k, name in enumerate(model.parameter_names)}
     names |= {name: x[k] for k, name in enumerate(model.state_names)}
@@ -276,7 +277,7 @@ def named(model: Model, x: Any, p: Any, period: Any = None) -> dict[str, Any]:
 
 
 def stated(
-    text: str, model: Model, x: Any, p: Any, where: str, period: Any = None, numbers: Mapping[str, Any] | None = None
+    text: str, model: Model, x: Any, p: Any, where: str, period: Any = None, numbers: Table | None = None
 ) -> Any:
     """An expression of a motion, which may name `numbers` as well. Raises `InputError`."""
     known, more = named(model, x, p, period), numbers or {}

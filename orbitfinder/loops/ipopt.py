@@ -119,16 +119,13 @@ class _Iterations(ca.Callback):  # type: ignore[misc]
         if self.report:
             period = self.shooting.at(arguments[0].full().ravel()).period
             self.report(Progress("shooting", len(self.defects) - 1, self.defects[-1], period, 0.0))
-        return [int(self._hopeless() or limit.left() < 0)]
-
-    def _hopeless(self) -> bool:
-        """True when the best of the last iterations is hardly better than the best before them."""
+        # hopeless when the best of the last iterations is hardly better than the best before them
         best = min(self.defects)
         limit.note(f"shooting, iteration {len(self.defects) - 1}, largest defect {best:.3g}")
         unsolved = self.shooting.square or best > UNSOLVED * max(self.defects)  # an objective moves along solutions
         if unsolved and len(self.defects) > PATIENCE and best > FALL * min(self.defects[:-PATIENCE]):
             self.stuck = f"the largest defect, {best:.3g} at best, did not fall in {PATIENCE} iterations"
-        return bool(self.stuck)
+        return [int(bool(self.stuck) or limit.left() < 0)]
 
 
 def solve_nlp(
@@ -169,7 +166,7 @@ def minimised(solver: ca.Function, **given: np.ndarray) -> tuple[np.ndarray, dic
 
 def _options(shooting: Shooting, settings: SolveSettings) -> tuple[dict[str, Any], dict[str, Any]]:
     """IPOPT's options; the Hessian is explicit where its structure is known and L-BFGS elsewhere, never exact."""
-    ipopt: dict[str, Any] = {"tol": settings.ipopt_tolerance, "mu_init": 1e-8, "max_iter": settings.max_iterations}
+    ipopt = {"tol": settings.ipopt_tolerance, "mu_init": 1e-8, "max_iter": settings.max_iterations}
     if not shooting.square and (shooting.inequalities.numel() or shooting.problem.objective != "nearest"):
         ipopt |= {"mu_init": 1e-2, "max_iter": settings.objective_iterations, **STALLED}
     if shooting.square or shooting.problem.objective == "nearest" or shooting.residuals.numel():

@@ -108,7 +108,7 @@ def wanted_steps(curve: Curve, solution: Solution, errors: np.ndarray) -> np.nda
     asked = np.arange(0, errors.size, MESH.sampled)
     varied = curve.equations.march.variation_errors(solution.march.states, place.mesh, place.tail, units, asked)
     variations = np.repeat((varied / MESH.variation_error) ** 0.125, MESH.sampled)[: errors.size]
-    return np.asarray(np.maximum((errors / _allowed(curve)) ** 0.125, variations))
+    return np.maximum((errors / _allowed(curve)) ** 0.125, variations)
 
 
 def _spread(density: np.ndarray) -> np.ndarray:

@@ -19,7 +19,6 @@ from orbitfinder.loops.conditions import (
     Expression,
     Pin,
     check_bounds,
-    check_constraint,
     check_pin,
     clock,
     is_parameter,
@@ -201,7 +200,15 @@ class Problem(Shown):
                 object.__setattr__(self, "guess", replace(self.guess, state=state))
             if self.winding is not None and len(self.winding) == links:
                 object.__setattr__(self, "winding", tuple(k for turn in self.winding for k in (0, 0, turn)))
-        self._settle()
+        # guessed values of freed parameters, and pins of others, become the model's
+        check_guessed(self.guess, self.free)
+        pinned = {pin.name: pin.value for pin in self.pin if is_parameter(self.model, pin.name)}
+        fixed = {name: value for name, value in pinned.items() if name not in self.free}
+        values = {**{name: float(value) for name, value in self.guess.free.items()}, **pinned}
+        if values:
+            object.__setattr__(self, "model", with_parameters(self.model, values))
+            object.__setattr__(self, "guess", replace(self.guess, free={}))
+            object.__setattr__(self, "pin", tuple(pin for pin in self.pin if pin.name not in fixed))
         if not self.model.smooth:
             _check_hybrid(self)
             if not self.model.cycle:  # it is that of the guess's motion
@@ -225,17 +232,6 @@ class Problem(Shown):
         if taken := sorted(set(self.free) & set(self.model.controls)):
             raise InputError(f"free: {taken[0]!r} is a control and varies in time; leave it out")
         object.__setattr__(self, "model", actuated(self.model))
-
-    def _settle(self) -> None:
-        """Guessed values of freed parameters, and pins of others, become the model's."""
-        check_guessed(self.guess, self.free)
-        pinned = {pin.name: pin.value for pin in self.pin if is_parameter(self.model, pin.name)}
-        fixed = {name: value for name, value in pinned.items() if name not in self.free}
-        values = {**{name: float(value) for name, value in self.guess.free.items()}, **pinned}
-        if values:
-            object.__setattr__(self, "model", with_parameters(self.model, values))
-            object.__setattr__(self, "guess", replace(self.guess, free={}))
-            object.__setattr__(self, "pin", tuple(pin for pin in self.pin if pin.name not in fixed))
 
     @property
     def boundary(self) -> Symmetry:
@@ -377,8 +373,12 @@ def _check(problem: Problem) -> None:
     for pin in problem.pin:
         check_pin(problem, pin)
     check_bounds(model, problem.bounds, problem.free, tuple(one.name for one in problem.pin))
-    for condition in problem.constraints:
-        check_constraint(condition)
+    for asked in problem.constraints:
+        if not asked.lower <= asked.upper or asked.rows < 1:
+            raise InputError(
+                f"constraints: {asked.name} asks for {asked.lower} <= expression <= {asked.upper} in "
+                f"{asked.rows} rows; give lower <= upper and at least one row"
+            )
     _check_objective(problem)
     if model.constraint is not None:
         check_consistent(model, state)

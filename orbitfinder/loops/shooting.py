@@ -220,7 +220,7 @@ def _objective(problem: Problem, known: Variables) -> tuple[ca.MX, ca.MX]:
 
 def _inequalities(problem: Problem, known: Variables) -> tuple[ca.MX, np.ndarray, np.ndarray]:
     """h with its limits: constraints with room, and bounds on what is not an unknown itself."""
-    rows: list[ca.MX] = [ca.MX(0, 1)]
+    rows = [ca.MX(0, 1)]
     low: list[float] = []
     high: list[float] = []
     for name, (smallest, largest) in problem.bounds.items():

@@ -91,7 +91,7 @@ class Involution:
         if self.order or other.order:
             raise InputError(f"symmetries: {other.name!r} with {self.name!r} is known for plain signs only")
         pair = np.broadcast_arrays(self.signs, other.signs)
-        signs = tuple(int(sign) for sign in np.ravel(pair[0] * pair[1]))
+        signs = tuple(map(int, np.ravel(pair[0] * pair[1])))
         made: int | tuple[int, ...] = signs[0] if len(set(signs)) == 1 else signs
         sense = self.sense * other.sense
         alike = (each for each in USUAL if (each.sense, each.signs) == (sense, made) and not self.first_order)

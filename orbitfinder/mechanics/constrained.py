@@ -201,11 +201,6 @@ def tangent_basis(rows: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.svd(rows)[2][rows.shape[0] :].T)
 
 
-def tangent_space(model: Model, state: np.ndarray) -> np.ndarray:
-    """Orthonormal basis (2n x 2(n - m)) of the variations of a state (2n) that keep phi = 0 and J v = 0."""
-    return tangent_basis(constraint_rows(model)(state).full())
-
-
 def constraint_rows(model: Model) -> ca.Function:
     """The gradients (2m x 2n) of phi and J v at a state x, which `tangent_basis` is orthogonal to."""
     n, p, constraint = model.degrees_of_freedom, ca.DM(model.parameter_values), constraint_of(model)
@@ -278,4 +273,4 @@ def minimal_states(model: Model, states: np.ndarray) -> np.ndarray:
     rows, size = np.asarray(states, float), len(model.state_names)
     if rows.ndim == 0 or rows.shape[-1] != size:
         raise InputError(f"states: shape {rows.shape}; give {size} numbers, or rows of that many")
-    return np.asarray(rows[..., 2::3])
+    return rows[..., 2::3]

@@ -67,13 +67,7 @@ def checked_motors(motors: Sequence[int], joints: int) -> list[int]:
         whole = isinstance(number, (int, np.integer)) and not isinstance(number, bool)
         if not whole or not 1 <= number <= joints or given.count(number) > 1:
             raise InputError(f"motors: {number!r} in {given}; give different joints from 1 (at the ground) to {joints}")
-    return [int(number) for number in given]
-
-
-def joint_torques(torques: Mapping[int, Any], links: int) -> list[Any]:
-    """Net torque on each link: a motor at joint k turns link k against link k - 1 (joint 1: against the ground;
-    joint n + 1 of a closed chain: the ground against link n)."""
-    return [torques.get(k, 0.0) - torques.get(k + 1, 0.0) for k in range(1, links + 1)]
+    return [*map(int, given)]
 
 
 def divided(forces: Any, p: Any, names: Sequence[str], known: Sequence[str], values: Sequence[float]) -> Any:

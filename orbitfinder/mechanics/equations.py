@@ -316,7 +316,7 @@ def _common(given: Table) -> Entries:
                 symmetries=_declared(given, "signs"))  # fmt: skip
 
 
-def _declared(given: Table, key: str) -> dict[str, Any]:
+def _declared(given: Table, key: str) -> Entries:
     """Sense of time and signs or a generator, as the `key` says, of symmetries by name."""
     declared = given.get("symmetries", {}).items()
     return {name: (said.get("time", 1), said[key]) for name, said in declared if key in said}
@@ -338,15 +338,15 @@ def _integral(given: Table, name: str, text: str, x: Named, p: Named) -> Any:
 
 
 def _hamiltonian(given: Table, names: Sequence[str]) -> Model:
-    def energy(*at: Any) -> Any:
-        return _reader(given, *(ca.SX.sym("t"), *at)[-3:])(given["hamiltonian"], "hamiltonian")
-
     coordinates, common = given["coordinates"], _common(given)
     momenta = names[len(coordinates) :]
     for name, (_, moved) in _declared(given, "generator").items():
         terms = (f"{p}*({moved[q]})" for q, p in zip(coordinates, momenta, strict=False) if q in moved)
         common["invariants"][name] = partial(_integral, given, name, " + ".join(terms))
-    return hamiltonian(energy, coordinates, momenta, given["parameters"], **common)
+    return hamiltonian(
+        lambda *at: _reader(given, *(ca.SX.sym("t"), *at)[-3:])(given["hamiltonian"], "hamiltonian"),
+        coordinates, momenta, given["parameters"], **common,
+    )  # fmt: skip
 
 
 def _lagrange(given: Table, names: Sequence[str]) -> Model:

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import reduce
+from operator import add, mul, neg, sub, truediv
 from typing import Any
 
 import casadi as ca
@@ -38,8 +39,7 @@ WORDS = re.compile(rf"\b({'|'.join(OWN)})\b(?!\s*:)")
 """Python's own words, which are names here, such as `lambda` and `if`, by a letter after them"""
 
 _OPERATIONS: dict[type[ast.AST], Callable[..., Any]] = {
-    ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
-    ast.Div: lambda a, b: a / b, ast.Pow: lambda a, b: a**b, ast.USub: lambda a: -a, ast.UAdd: lambda a: a,
+    ast.Add: add, ast.Sub: sub, ast.Mult: mul, ast.Div: truediv, ast.Pow: pow, ast.USub: neg, ast.UAdd: lambda a: a,
     ast.Lt: ca.lt, ast.LtE: ca.le, ast.Gt: ca.gt, ast.GtE: ca.ge, ast.Eq: ca.eq, ast.NotEq: ca.ne,
     ast.And: ca.logic_and, ast.Or: ca.logic_or, ast.Not: ca.logic_not,
 }  # fmt: skip
@@ -109,7 +109,16 @@ class _Reading:
                 )
             return self.known[name]
         if isinstance(node, ast.BinOp) and type(node.op) in _OPERATIONS:
-            return self._chain(node, depth)
+            # a + b + c + ..., from the left: as long as it may be, it is not nested
+            terms: list[ast.BinOp] = []
+            first: ast.expr = node
+            while isinstance(first, ast.BinOp) and type(first.op) in _OPERATIONS:
+                terms.append(first)
+                first = first.left
+            value = self.value(first, depth)
+            for term in reversed(terms):
+                value = self._sound(_OPERATIONS[type(term.op)](value, self.value(term.right, depth)), term)
+            return value
         if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATIONS:
             return _OPERATIONS[type(node.op)](self.value(node.operand, depth))
         if isinstance(node, ast.BoolOp):
@@ -128,15 +137,3 @@ class _Reading:
             f"{self.where}: {self._shown(node)} is not allowed{meant}; use numbers, names, + - * / **, brackets "
             f"and {', '.join(self.calls)}"
         )
-
-    def _chain(self, node: ast.BinOp, depth: int) -> Any:
-        """a + b + c + ..., from the left: as long as it may be, it is not nested."""
-        terms: list[ast.BinOp] = []
-        part: ast.expr = node
-        while isinstance(part, ast.BinOp) and type(part.op) in _OPERATIONS:
-            terms.append(part)
-            part = part.left
-        value = self.value(part, depth)
-        for term in reversed(terms):
-            value = self._sound(_OPERATIONS[type(term.op)](value, self.value(term.right, depth)), term)
-        return value

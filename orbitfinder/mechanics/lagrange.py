@@ -329,7 +329,7 @@ def _reversals(symmetries: Mapping[str, Sequence[int]], count: int) -> tuple[tup
             )
         if not name.replace("-", "_").isidentifier():
             raise InputError(f"symmetries: {name!r} is no name; use letters, digits, - and _")
-    return tuple((name, -1, tuple(int(sign) for sign in signs)) for name, signs in symmetries.items())
+    return tuple((name, -1, tuple(map(int, signs))) for name, signs in symmetries.items())
 
 
 def mechanical_model(

@@ -22,6 +22,7 @@ import numpy as np
 from orbitfinder._runtime.sizes import LEAST, nonzero
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.model import Model
+from orbitfinder.records.reading import Table
 
 ALIKE, COARSE = 16.0, 256.0
 """Lengths that differ by less than the first factor are measured alike, as they are in powers of the second."""
@@ -50,7 +51,7 @@ WORD = re.compile(r"[\w %/^*.()-]{0,24}")
 """A unit as it may be called"""
 
 
-def units(system: Mapping[str, Any]) -> dict[str, str]:
+def units(system: Table) -> dict[str, str]:
     """The words for units of `SI`'s quantities, and of states and parameters by name: those given, else SI, or none
     where equations carry none, or are rates as text, which state none. Of other than SI's, kg m^2/s^2 and that times s
     are energy and action."""
@@ -83,23 +84,23 @@ def with_units(model: Model, given: Mapping[str, str] | None) -> Model:
     return replace(model, system={**model.system, "units": whole})
 
 
-def lasting(time: float, system: Mapping[str, Any], digits: int = 12) -> str:
+def lasting(time: float, system: Table, digits: int = 12) -> str:
     """A time in words, with its unit where the equations carry one."""
     return measured(time, "time", system, digits)
 
 
-def measured(value: float, quantity: str, system: Mapping[str, Any], digits: int = 9) -> str:
+def measured(value: float, quantity: str, system: Table, digits: int = 9) -> str:
     """A value in words, with the unit of its quantity, or of a parameter by name, where that is told."""
     told = units(system) if quantity in ("time", "energy") else given_units(system)
     return f"{value:.{digits}g} {told.get(quantity, '')}".rstrip()
 
 
-def unit_along(parameter: str, system: Mapping[str, Any]) -> str:
+def unit_along(parameter: str, system: Table) -> str:
     """The unit of what a family is followed in: energy, period or a parameter."""
     return units(system).get({"period": "time"}.get(parameter, parameter), "")
 
 
-def given_units(system: Mapping[str, Any]) -> dict[str, str]:
+def given_units(system: Table) -> dict[str, str]:
     """The words for units of states and parameters by name."""
     return {name: word for name, word in units(system).items() if name not in SI}
 
@@ -108,7 +109,7 @@ UNIT, QUANTITIES = re.compile(r" \(([^()]*)\)|(?<=\d) (J|s)\b"), {word: name for
 """Units as texts have them: after a name in brackets, after a number"""
 
 
-def worded(text: str, system: Mapping[str, Any]) -> str:
+def worded(text: str, system: Table) -> str:
     """A text in SI units with a system's words in their place, and without units where it has none."""
     words = units(system)
 

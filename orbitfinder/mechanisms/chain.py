@@ -16,7 +16,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import constrained_model
-from orbitfinder.mechanics.controls import TORQUE, Limits, checked_limits, checked_motors, joint_torques
+from orbitfinder.mechanics.controls import TORQUE, Limits, checked_limits, checked_motors
 from orbitfinder.mechanics.factorise import LinearBalances, acceleration_function
 from orbitfinder.mechanics.lagrange import Symbols, Terms, energy_invariant, mass_matrix_and_bias, mechanical_model
 from orbitfinder.mechanics.model import Baumgarte, Invariant, Model, constraint_of, symbol_of
@@ -67,7 +67,7 @@ def per_link(name: str, value: Numbers, links: int, lowest: float, inclusive: bo
     if np.any(numbers < lowest) or (not inclusive and np.any(numbers == lowest)):
         bound = f"at least {lowest:g}" if inclusive else f"greater than {lowest:g}"
         raise InputError(f"{name}: must be {bound}, got {value}; check the sign and the unit")
-    return [float(number) for number in numbers]
+    return [*map(float, numbers)]
 
 
 def chain_system(
@@ -129,10 +129,12 @@ def chain_symbols(system: Entries) -> ChainSymbols:
         inertia = columns["inertia"][i] if "inertia" in columns else mass * length**2 / 12
         links.append(Link(length, mass, inertia, columns["com"][i] * length))
     moments = {joint: parameters[names.index(f"{TORQUE}{joint}")] for joint in system.get("motors", ())}
+    # a motor at joint k turns link k against link k - 1 (joint 1: against the ground)
+    turned = [moments.get(k, 0.0) - moments.get(k + 1, 0.0) for k in range(1, count + 1)]
     return ChainSymbols(
         ca.SX.sym("theta", count), ca.SX.sym("thetadot", count), parameters,
         tuple(names), tuple(values), links=tuple(links), gravity=parameters[-1],
-        torques=tuple(joint_torques(moments, count)) if moments else (), controls=tuple(controls),
+        torques=tuple(turned) if moments else (), controls=tuple(controls),
         limits=checked_limits(system.get("limits", {}), controls),
     )  # fmt: skip
 

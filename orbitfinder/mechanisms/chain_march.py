@@ -105,10 +105,7 @@ class ClosedChain(March):
             changes.append(float(np.abs(fine[-1] - coarse[-1]).max()) / scale)
             return changes[-1] <= AGREEMENT or changes[-2] / STALLED < changes[-1] < ROUND_OFF
 
-        def path(times: int) -> np.ndarray:
-            return self.states(state[None], divided(mesh, times), tail)[::times]
-
-        return refined(path, 1, settled)
+        return refined(lambda times: self.states(state[None], divided(mesh, times), tail)[::times], 1, settled)
 
     def variations(self, state: np.ndarray, duration: float, directions: np.ndarray) -> np.ndarray:
         """The state-transition matrix times `directions` (2n x k) from `state` (2n), over a duration (s).

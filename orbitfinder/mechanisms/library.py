@@ -67,7 +67,7 @@ def ingredients(
 ) -> Ingredients:
     """Symbols for `count` coordinates and the parameters given, the positive ones first; `InputError` for a number that
     cannot be meant. A function whose arguments are all parameters gives its `locals()`."""
-    values: dict[str, float] = {}
+    values = {}
     for name in dict.fromkeys([*positive, *given]):
         values[name] = finite_number(f"system.arguments.{name}", value := given[name])
         if name in positive and value <= 0:

@@ -190,7 +190,7 @@ def compass(function: str, given: Mapping[str, float], controls: tuple[str, ...]
     _check_weightless(given, "hip_mass")
     positive = ("a", "b", "mass", "gravity")
     fixed, floating = (_Compass(ingredients(count, given, positive, controls), function) for count in (2, 4))
-    torques: dict[str, Any] = {"controls": controls}
+    torques = {"controls": controls}
     if controls:
         hip, ankle = (getattr(fixed.made, name) for name in controls)
         torques["forces"] = ca.vertcat(ankle - hip, hip)

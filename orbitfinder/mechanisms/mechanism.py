@@ -325,7 +325,7 @@ def _description(tables: Table, gravity: Any, dimension: Any, redundant: Any) ->
         raise InputError(f"gravity: {plural(len(fall), 'number')}; give {dimension} (m/s^2, x down, y right)")
     if redundant not in ("refuse", "drop"):
         raise InputError(f"redundant: must be 'refuse' or 'drop' (equations that repeat others), got {redundant!r}")
-    system: Entries = {"kind": "mechanism", "dimension": dimension, "gravity": fall}
+    system = {"kind": "mechanism", "dimension": dimension, "gravity": fall}
     for name, table in tables.items():
         for key, entry in (table or {}).items():
             if not str(key).isidentifier() or key == GROUND:
@@ -973,8 +973,8 @@ def _across(axis: ca.SX) -> list[ca.SX]:
 def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], ...]]:
     """Points (2 x k, in space 3 x k) and what is drawn through which: ground, spring, rod (a body), slider, disc, solid
     (centre and three sides of the box about it) with a bone for a rod."""
-    columns: list[ca.SX] = []
-    strokes: list[tuple[str, tuple[int, ...]]] = []
+    columns = []
+    strokes = []
 
     def place(body: str, at: ca.SX) -> int:
         columns.append(made.point(body, at))
@@ -1078,7 +1078,7 @@ def _articulated(made: _Drawing, pushed: ca.SX, gravity: ca.SX) -> tuple[ca.SX, 
         ca.mtimes(_crossed(speed).T, ca.mtimes(-node.inertia, speed)) for node, speed in zip(nodes, speeds, strict=True)
     ]
     moved = [ca.mtimes(_crossed(speed), node.way() * node.v) for node, speed in zip(nodes, speeds, strict=True)]
-    kept: list[tuple[ca.SX, ca.SX, ca.SX]] = [(ca.SX(6, 1), ca.SX(0), ca.SX(0))] * len(nodes)
+    kept = [(ca.SX(6, 1), ca.SX(0), ca.SX(0))] * len(nodes)
     for k in reversed(range(len(nodes))):
         node, way = nodes[k], nodes[k].way()
         if node.a is not None:

@@ -110,7 +110,7 @@ def movable(model: Model, state: np.ndarray) -> list[int]:
         return []
     q = np.array(state[: model.degrees_of_freedom], float)
     sizes = np.abs(_slopes(model, q, surroundings(model, q)[0])[0]).max(axis=(1, 2))
-    return [int(k) for k in np.flatnonzero(sizes > SMALL * sizes.max())]
+    return np.flatnonzero(sizes > SMALL * sizes.max()).tolist()
 
 
 def _checked(points: np.ndarray, point: int) -> int:
@@ -125,7 +125,7 @@ def _seen(model: Model, q: np.ndarray, dims: int) -> np.ndarray:
     with np.errstate(all="ignore"):
         rest = np.zeros((len(q), len(model.state_names) - model.degrees_of_freedom))
         places = positions(model, np.hstack([q, rest]), "points" if dims == 2 else "space")
-    return np.asarray(places.transpose(0, 2, 1))
+    return places.transpose(0, 2, 1)
 
 
 def _slopes(model: Model, q: np.ndarray, units: np.ndarray, dims: int = 2) -> tuple[np.ndarray, np.ndarray]:

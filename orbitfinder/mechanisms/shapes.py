@@ -145,7 +145,17 @@ def _collada(data: bytes) -> Solid:
         nonlocal spent
         here, spent = before, spent + 500
         for part in node:
-            here = here @ _moved(part)
+            made = np.eye(4)  # what the element does to places
+            if part.tag == "matrix":
+                made = _numbers(part).reshape(4, 4)
+            elif part.tag == "translate":
+                made[:3, 3] = _numbers(part)
+            elif part.tag == "rotate":
+                *axis, angle = _numbers(part)
+                made[:3, :3] = Rotation.from_rotvec(np.array(axis) * np.radians(angle)).as_matrix()
+            elif part.tag == "scale":
+                made[:3, :3] = np.diag(_numbers(part))
+            here = here @ made
         for part in node:
             if part.tag == "instance_geometry":
                 for corners, faces in _geometry(known[part.attrib["url"][1:]], known):
@@ -169,21 +179,6 @@ def _collada(data: bytes) -> Solid:
 def _numbers(node: ElementTree.Element | None, kind: type = float) -> np.ndarray:
     text = (node.text or "") if node is not None else ""
     return np.fromiter((kind(word[0]) for word in re.finditer(r"\S++", text)), kind)
-
-
-def _moved(node: ElementTree.Element) -> np.ndarray:
-    """What an element of a Collada node does to places (4 x 4)."""
-    made = np.eye(4)
-    if node.tag == "matrix":
-        made = _numbers(node).reshape(4, 4)
-    elif node.tag == "translate":
-        made[:3, 3] = _numbers(node)
-    elif node.tag == "rotate":
-        *axis, angle = _numbers(node)
-        made[:3, :3] = Rotation.from_rotvec(np.array(axis) * np.radians(angle)).as_matrix()
-    elif node.tag == "scale":
-        made[:3, :3] = np.diag(_numbers(node))
-    return made
 
 
 def _geometry(node: ElementTree.Element, known: Mapping[str | None, ElementTree.Element]) -> Iterator[Solid]:

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -33,7 +32,7 @@ from orbitfinder.mechanics.scales import extents_of, snapped
 from orbitfinder.orbits.between import Rates, overlooked, risen
 from orbitfinder.orbits.closure import closes, gap, shift, shift_along
 from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Recomputed, StatesAt, Tour, in_extents, varied_end
-from orbitfinder.orbits.floquet import AREA, Floquet, analyse, generated
+from orbitfinder.orbits.floquet import AREA, analyse, generated
 from orbitfinder.orbits.measure import recorded
 from orbitfinder.records.orbit import Orbit
 
@@ -165,6 +164,9 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     identity, motion = np.eye(units.size), (times, states)
     loop = Tour(found, pieces, slopes, directions, False, units, identity, motion=motion, ended=ended)
     drift, balance = _energies(model, arcs)
+    # multipliers come in reciprocal pairs only where the resets keep areas too
+    reduced = loop.map()
+    area = abs(float(np.linalg.det(reduced))) if reduced.size else 1.0
     return HybridEvidence(
         times=times,
         states=states,
@@ -173,7 +175,7 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
         closure=gap(state, end, turns),
         action=action,
         energy=energy(model, state),
-        floquet=_multipliers(loop),
+        floquet=analyse(reduced, conservative=bool(len(loop.gradients)) and abs(area - 1.0) < AREA),
         arcs=tuple(arcs),
         period=period,
         drift=drift,
@@ -223,17 +225,10 @@ def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:
         along = shift_along(model, problem.relative, refined.state, end, turns)
     found = gather_hybrid(model, refined.state, refined.period, turned(model, turns, along))
     return recorded(
-        replace(problem, winding=tuple(int(k) for k in turns)), refined.period, found.arcs[-1].after,
+        replace(problem, winding=tuple(map(int, turns))), refined.period, found.arcs[-1].after,
         refined.state[None], found.times, found.states, refined.unfolding, found.action, found.floquet,
         problem.symmetry,
     )  # fmt: skip
-
-
-def _multipliers(loop: Tour) -> Floquet:
-    """The multipliers of a hybrid orbit; they come in reciprocal pairs only where the resets keep areas too."""
-    reduced = loop.map()
-    area = abs(float(np.linalg.det(reduced))) if reduced.size else 1.0
-    return analyse(reduced, conservative=bool(len(loop.gradients)) and abs(area - 1.0) < AREA)
 
 
 def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:
@@ -396,7 +391,7 @@ def held(arcs: Sequence[Arc]) -> Iterator[tuple[str, float]]:
     """What must not be negative: in modes along the motion, and impulses at events, each with its least value."""
     least: dict[str, float] = {}
     for arc in arcs:
-        pairs: list[tuple[str, Any]] = [*arc.margins, (f"impulse of {arc.ended_by}", arc.impulse)]
+        pairs = [*arc.margins, (f"impulse of {arc.ended_by}", arc.impulse)]
         for name, value in pairs:
             if value is not None:
                 least[name] = min(least.get(name, np.inf), float(value))

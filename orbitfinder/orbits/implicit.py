@@ -110,7 +110,12 @@ class Variations:
             same, begin, push = slopes[:, :1], np.eye(2 * n, 2 * n + count), np.zeros((n, STAGES, 2 * n + count))
             push[rows[:, None], stages, 2 * n + np.arange(count).reshape(-1, STAGES)] = 1.0
             carried = self._stages_of(h, np.repeat(same, STAGES, axis=1), begin, push)
-            ends, felt = self._ends(h, begin, carried), self._felt(h, begin, carried, seen)
+            # what is seen of u (0), u' (1) or u'' (2) at the stages, in rows
+            (along, kinds), inner = seen.T, self.rule.inner
+            (place, rate), a = (part[along, None] for part in np.split(begin, 2)), carried[along]
+            q = place + h * self.rule.points[:, None] * rate + h**2 * inner @ inner @ a
+            every = np.stack([q, rate + h * inner @ a, a])
+            ends, felt = self._ends(h, begin, carried), every[kinds, np.arange(len(seen))].reshape(-1, begin.shape[1])
             self._steady = h, same, *np.split(ends, [2 * n], axis=1), *np.split(felt, [2 * n], axis=1)
         _, same, step, pushed, known, answers = self._steady
         apart = np.zeros((rows.size, STAGES, len(seen), STAGES))
@@ -135,14 +140,6 @@ class Variations:
         (place, rate), weights = np.split(whole, 2), self.rule.weights
         moved, faster = (np.einsum("nik,i->nk", stages, by) for by in (weights @ self.rule.inner, weights))
         return np.vstack([place + h * rate + h**2 * moved, rate + h * faster])
-
-    def _felt(self, h: float, whole: np.ndarray, stages: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Some u (0), u' (1) or u'' (2) at the stages, in rows."""
-        (along, kinds), inner = seen.T, self.rule.inner
-        (place, rate), a = (part[along, None] for part in np.split(whole, 2)), stages[along]
-        q = place + h * self.rule.points[:, None] * rate + h**2 * inner @ inner @ a
-        every = np.stack([q, rate + h * inner @ a, a])
-        return np.asarray(every[kinds, np.arange(len(seen))].reshape(-1, whole.shape[1]))
 
 
 class Compressed:

@@ -35,7 +35,7 @@ from orbitfinder.loops.polish import (
 )
 from orbitfinder.loops.problem import Problem, boundary_constants
 from orbitfinder.loops.symmetry import recognise, symplectic, turned
-from orbitfinder.mechanics.constrained import tangent_space
+from orbitfinder.mechanics.constrained import constraint_rows, tangent_basis
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import energy as total_energy
 from orbitfinder.orbits.closure import gap, shift, shift_along
@@ -159,11 +159,11 @@ def recorded(
         action=action,
         closure=gap(nodes[0], end, turns),
         symmetry=recognise(times, samples, problem.model) if symmetry is None else symmetry,
-        winding=tuple(int(k) for k in problem.turns),
+        winding=tuple(map(int, problem.turns)),
         floquet_multipliers=floquet.multipliers,
         pair_defect=floquet.pair_defect,
         stability=floquet.stability,
-        unfolding=tuple(float(s) for s in unfolding),
+        unfolding=tuple(map(float, unfolding)),
         nodes=nodes,
         times=times,
         samples=samples,
@@ -263,7 +263,7 @@ def reduced(model: Model, state: np.ndarray, monodromy: np.ndarray, units: Seque
         monodromy = monodromy * sizes / sizes[:, None]
         gradients, directions = gradients * sizes, directions / sizes
     if model.constraint is not None:
-        basis = tangent_space(model, state)
+        basis = tangent_basis(constraint_rows(model)(state).full())
         monodromy, gradients, directions = basis.T @ monodromy @ basis, gradients @ basis, directions @ basis
     return analyse(reduce_monodromy(monodromy, gradients, directions), conservative=symplectic(model))
 

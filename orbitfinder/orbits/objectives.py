@@ -139,7 +139,12 @@ def followed(
     """
     w, size = start, LARGEST_BOX
     for _ in range(MOST_BOXES):
-        reach = size * _extents(shooting, w)
+        # how far each unknown may sensibly move: the motion's extents, the period, the parameters' own sizes
+        here, angular = shooting.at(w), shooting.problem.model.angular
+        node = shared(np.maximum(np.ptp(here.nodes, axis=0), np.abs(here.nodes).max(axis=0) / 2), angular)
+        node[angular.size :] = np.maximum(node[angular.size :], node[: node.size - angular.size] / here.period)
+        free = np.maximum(np.abs(here.free), 1e-3)
+        reach = size * (here.joined(node, here.period, np.inf, free) / shooting.units)
         lower, upper = np.maximum(shooting.lower, w - reach), np.minimum(shooting.upper, w + reach)
         try:
             found = solve_nlp(replace(shooting, lower=lower, upper=upper), settings, report, w)
@@ -168,15 +173,6 @@ def _stopped(shooting: Shooting, w: np.ndarray) -> str:
         "it has a kink there, or the family ends or branches; give bounds that keep away from it, or start on its "
         "other side"
     )
-
-
-def _extents(shooting: Shooting, w: np.ndarray) -> np.ndarray:
-    """How far each unknown may sensibly move: the motion's extents, the period, the parameters' own sizes."""
-    found, angular = shooting.at(w), shooting.problem.model.angular
-    node = shared(np.maximum(np.ptp(found.nodes, axis=0), np.abs(found.nodes).max(axis=0) / 2), angular)
-    node[angular.size :] = np.maximum(node[angular.size :], node[: node.size - angular.size] / found.period)
-    free = np.maximum(np.abs(found.free), 1e-3)
-    return np.asarray(found.joined(node, found.period, np.inf, free) / shooting.units)
 
 
 def _peak(

@@ -74,7 +74,7 @@ class Row(Shown):
 
     def record(self, names: Sequence[str]) -> Entries:
         """The row as plain values by name, None where there is no orbit; `names` are those of the state."""
-        numbers: dict[str, Any] = dict.fromkeys((*NUMBERS, "instability", *names))
+        numbers = dict.fromkeys((*NUMBERS, "instability", *names))
         if self.orbit is not None:
             numbers = {name: getattr(self.orbit, name) for name in NUMBERS}
             numbers["instability"] = float(np.abs(self.orbit.floquet_multipliers).max(initial=1.0))
@@ -120,9 +120,9 @@ class SweepRecord(Tabled):
     __repr__ = brief("name", "parameters", "counts")
 
     name: str
-    system: Mapping[str, Any]
+    system: Table
     parameters: tuple[str, ...]
-    rows: tuple[dict[str, Any], ...]
+    rows: tuple[Entries, ...]
 
     @property
     def counts(self) -> str:

@@ -68,8 +68,8 @@ class Proposals:
 def propose(loaded: ProblemFile, duration: float | None = None, count: int = 8, amplitude: float = 0.1) -> Proposals:
     """Every kind of starting point that a problem file allows: close returns in `duration` (s, or 12 periods of the
     guess), modes with an `amplitude` of their largest coordinate (rad or m). Raises `InputError` for wrong options."""
-    guesses: list[Proposal] = []
-    notes: list[str] = []
+    guesses = []
+    notes = []
     kinds: dict[str, Callable[[], list[Proposal]]] = {
         "own guess": lambda: own(loaded),
         "normal modes": lambda: modes(loaded, amplitude),

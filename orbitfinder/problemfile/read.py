@@ -159,7 +159,7 @@ def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
         return _build(source, document, table, trust, row)
 
 
-def _xpp_options(words: str, path: str | Path) -> dict[str, Any]:
+def _xpp_options(words: str, path: str | Path) -> Entries:
     name, _, value = words.partition("=")
     with suppress(ValueError):
         if (name == "period" and value) or (name == "time" and math.isfinite(float(value))):
@@ -461,12 +461,12 @@ def read_trajectory(
 
 
 def _numbers(name: str, lines: list[str], size: int, events: bool) -> np.ndarray:
-    rows: list[list[float]] = []
+    rows = []
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
         try:
-            row = [float(entry) for entry in line.split(",")]
+            row = [*map(float, line.split(","))]
         except ValueError as error:
             if number == 1:
                 continue

@@ -377,23 +377,27 @@ class _Components:
         if means in names or means == "NAME":
             return names.get(means) or self._name(node.getName()), 8
         parts = [self._printed(each, where) for each in inside]
+        texts = [text for text, _ in parts]
         if means == "FUNCTION":
             name = self._name(node.getName())
-            return f"{name}({', '.join(text for text, _ in parts)})" if parts else name, 8
+            return f"{name}({', '.join(texts)})" if parts else name, 8
         if means == "FUNCTION_PIECEWISE":
-            return self._piecewise(parts, where), 8
+            if len(texts) % 2 == 0:
+                raise self.fault(where, "a piecewise without otherwise; say what it is elsewhere")
+            pieces = zip(texts[-3::-2], texts[-2::-2], strict=True)
+            return reduce(lambda rest, piece: f"if({piece[1]}, {piece[0]}, {rest})", pieces, texts[-1]), 8
         if means == "LOGICAL_NOT" and len(parts) == 1:
-            return f"not ({parts[0][0]})", 2
+            return f"not ({texts[0]})", 2
         if means in ("FUNCTION_MAX", "FUNCTION_MIN") and parts:
             word = means.removeprefix("FUNCTION_").lower()
-            return reduce(lambda done, each: f"{word}({done}, {each})", [text for text, _ in parts]), 8
+            return reduce(lambda done, each: f"{word}({done}, {each})", texts), 8
         if means == "LOGICAL_XOR" and parts:
-            return reduce(lambda done, each: f"(({done}) != ({each}))", [text for text, _ in parts]), 8
+            return reduce(lambda done, each: f"(({done}) != ({each}))", texts), 8
         if means in OPERATORS:
             return self._joined(means, parts, where)
         pattern = FUNCTIONS.get(means.removeprefix("FUNCTION_"), "")
         if pattern and len(parts) == 1 + pattern.count("{1}"):
-            return pattern.format(*(text for text, _ in parts)), 8 if pattern[0].isalpha() and "/" not in pattern else 4
+            return pattern.format(*texts), 8 if pattern[0].isalpha() and "/" not in pattern else 4
         name = node.getName() or means.removeprefix("FUNCTION_").lower()
         raise self.fault(where, f"{shortened(name)!r} with {len(parts)} arguments is not read; write it out")
 
@@ -413,14 +417,6 @@ class _Components:
             return " and ".join(pairs), 3 if len(pairs) == 1 else 1
         first, *others = parts
         return sign.join([_closed(first, level + (level == 7)), *(_closed(each, level + 1) for each in others)]), level
-
-    def _piecewise(self, parts: list[tuple[str, int]], where: str) -> str:
-        """if(condition, value, ...), from the last piece on."""
-        texts = [text for text, _ in parts]
-        if len(texts) % 2 == 0:
-            raise self.fault(where, "a piecewise without otherwise; say what it is elsewhere")
-        pieces = zip(texts[-3::-2], texts[-2::-2], strict=True)
-        return reduce(lambda rest, piece: f"if({piece[1]}, {piece[0]}, {rest})", pieces, texts[-1])
 
 
 @cache

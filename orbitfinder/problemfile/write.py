@@ -98,12 +98,27 @@ def orbit_text(document: Table, expected: bool = True) -> str | None:
     system, period = document["system"], float(document["period"])
     if system_kind(system) is OTHER:
         return None
-    about = {key: _line(document[key]) for key in ("title", "source") if document.get(key)}
+    about = {  # a line without control characters, as the problem file takes it
+        key: "".join(letter if letter.isprintable() else " " for letter in str(document[key]))[:300]
+        for key in ("title", "source") if document.get(key)
+    }  # fmt: skip
+    provenance = document.get("provenance") or {}
+    pin = provenance.get("pin")
+    if not isinstance(pin, Mapping):
+        kept = document["energy"] is not None and "energy" in provenance.get("invariants", ["energy"])
+        pin = {"energy": float(document["energy"])} if kept else {}
+    turns = [*map(int, document.get("winding") or ())]
+    chosen = ({"pin": pin} if pin else {}) | ({"winding": turns} if any(turns) else {})
+    if steered := document.get("control"):
+        chosen |= {key: steered[key] for key in ("free", "bounds") if steered.get(key)}
+        chosen |= {"symmetry": document["symmetry"]}
+    if document.get("shift"):
+        chosen["relative"] = list(document["shift"])
     tables = {
         "system": {key: value for key, value in system.items() if value is not None and key != "units"},
         **({"units": system["units"]} if system.get("units") else {}),
         "guess": {"state": document["state"], "period": period},
-        "find": _find(document),
+        "find": chosen | {"tolerance": float(document.get("tolerance", 1e-12))},
         **({"control": _control(document["control"])} if document.get("control") else {}),
     }
     if expected:
@@ -117,22 +132,6 @@ def orbit_text(document: Table, expected: bool = True) -> str | None:
     return "\n".join(lines) + "\n"
 
 
-def _find(document: Table) -> Entries:
-    provenance = document.get("provenance") or {}
-    pin = provenance.get("pin")
-    if not isinstance(pin, Mapping):
-        kept = document["energy"] is not None and "energy" in provenance.get("invariants", ["energy"])
-        pin = {"energy": float(document["energy"])} if kept else {}
-    turns = [int(k) for k in document.get("winding") or ()]
-    chosen = ({"pin": pin} if pin else {}) | ({"winding": turns} if any(turns) else {})
-    if steered := document.get("control"):
-        chosen |= {key: steered[key] for key in ("free", "bounds") if steered.get(key)}
-        chosen |= {"symmetry": document["symmetry"]}
-    if document.get("shift"):
-        chosen["relative"] = list(document["shift"])
-    return chosen | {"tolerance": float(document.get("tolerance", 1e-12))}
-
-
 def _control(entry: Table) -> Entries:
     """The `[control]` of a controlled orbit, which begins at its own coefficients."""
     same = ("shape", "intervals", "harmonics", "average", "final", "method", "numbers")
@@ -142,11 +141,6 @@ def _control(entry: Table) -> Entries:
         "guess": dict(zip(entry["names"], entry["coefficients"], strict=True)),
         **({"task": entry["tasks"]} if entry["tasks"] else {}),
     }
-
-
-def _line(text: Any) -> str:
-    """Text as the problem file takes it: a line without control characters, at most 300."""
-    return "".join(letter if letter.isprintable() else " " for letter in str(text))[:300]
 
 
 def entries(table: Table) -> list[str]:

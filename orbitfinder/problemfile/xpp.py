@@ -245,7 +245,7 @@ class _Definitions:
         """What formulas are at a state and a time, each in the place of a variable's rate. Raises `InputError`."""
         rates = [replace(entry, text=texts.get(entry.word, "0")) for entry in self.tables["rates"]]
         model = build_model(_Definitions({**self.tables, "rates": rates}, self.folder, time).system(()))
-        return [float(value) for value in vector_field(model)(0.0, state, [], []).full().ravel()]
+        return [*map(float, vector_field(model)(0.0, state, [], []).full().ravel())]
 
     def _used(self, texts: Sequence[str]) -> set[str]:
         """All words of texts, in small letters, and of what defines them."""

@@ -134,7 +134,7 @@ def column(vector: Sequence[Any]) -> Any:
 def exact(matrix: np.ndarray) -> Any:
     """A matrix of balls that are exactly these floats."""
     rows, columns = matrix.shape
-    return arb_mat(rows, columns, [float(x) for x in matrix.ravel()])
+    return arb_mat(rows, columns, matrix.ravel().tolist())
 
 
 def floats(matrix: Any) -> np.ndarray:

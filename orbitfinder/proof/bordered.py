@@ -76,6 +76,7 @@ from orbitfinder.proof.theorem import (
     NotProved,
     Options,
     Progress,
+    certain,
     check_graph,
     check_motion,
     chosen_symmetry,
@@ -287,6 +288,11 @@ class BorderedRecord(Versioned):
         return [*map(arb, self.centre)]
 
     @property
+    def box(self) -> Vector:
+        """The centre in balls of the radius."""
+        return [arb(c, self.radius) for c in self.centre]
+
+    @property
     def words(self) -> list[tuple[str, str]]:
         """What is proved, line by line."""
         at, period = (in_digits(ball) for ball in (self.value, self.period))
@@ -357,12 +363,12 @@ class _EventProof:
     def sections(self) -> list[tuple[Any, Any]]:
         """The hyperplanes through the centre: across the flow of x, and of y, as they are wanted, and across y."""
         form, m = self.form, self.form.components
-        node = [float(x.mid()) for x in form.nodes(self.about.start)[0]]
+        node = np.array([float(x.mid()) for x in form.nodes(self.about.start)[0]])
         own, other, first = np.zeros((3, form.dimension))
         own[:m] = other[m : 2 * m] = self.about.flow
         first[m : 2 * m] = node[m : 2 * m]
         wanted = ((self.plain.sectioned, node, own), (form.carried, 0 * own, other), (True, first, first))
-        return [([float(x) for x in a][: len(own)], w.tolist()) for asked, a, w in wanted if asked]
+        return [(a[: len(own)].tolist(), w.tolist()) for asked, a, w in wanted if asked]
 
     def along(self, unknowns: Vector) -> tuple[TheoremEquations, Vector]:
         """The equations of the orbit alone, at a parameter and energy of the bordered ones, and its unknowns."""
@@ -387,7 +393,7 @@ class _EventProof:
         Returns how near, relative to the next singular value.
         """
         form, m = self.form, self.form.components
-        rows: np.ndarray = np.zeros((len(nodes), form.dimension))
+        rows = np.zeros((len(nodes), form.dimension))
         rows[:, :m] = nodes
         if form.parameter:
             rows[:, form.constants_at["p"]] = value
@@ -451,11 +457,7 @@ class _EventProof:
     def concluded(self, margin: float = MARGIN, digits: int = DIGITS) -> BorderedRecord:
         """What the record says of its box, proved. Raises `NotProved`."""
         about, form, settings = self.about, self.form, self.about.settings
-        first = krawczyk(self.equations, [arb(c, about.radius) for c in about.centre], settings)
-        if not first.proved:
-            raise NotProved("the interval Newton operator does not map the box into itself")
-        again = krawczyk(self.equations, first.image, settings)
-        box = [x.intersection(y) for x, y in zip(first.image, again.image, strict=True)]
+        first, again, box = certain(lambda box: krawczyk(self.equations, box, settings), about.box)
         plain, own = self.along(box)
         arcs = arcs_over(plain, own, midpoints(own), settings)
         path = horizon(plain, own, arcs)
@@ -468,7 +470,7 @@ class _EventProof:
         minimal, _, reason = minimal_period(path, self.model.angles)
         if not minimal:
             raise NotProved(f"the period could be a multiple of a smaller period: {reason}")
-        if not form.same and not regular(plain, own, [arc[1] for arc in arcs]):
+        if not form.same and not invertible(jacobian(plain, own, [arc[1] for arc in arcs])):
             raise NotProved("the orbits of the family could not be shown to go on to other values of its parameter")
         node = form.nodes(box)[0]
         side = (
@@ -532,11 +534,8 @@ class _GaitEventProof:
     def concluded(self, margin: float = MARGIN, digits: int = DIGITS) -> BorderedRecord:
         """See `_EventProof`."""
         about, settings = self.about, self.about.settings
-        first, _ = self.arcs.krawczyk([arb(c, about.radius) for c in about.centre], settings)
-        if not first.proved:
-            raise NotProved("the interval Newton operator does not map the box into itself")
-        again, _ = self.arcs.krawczyk(first.image, settings)
-        parts = self.arcs.parts([x.intersection(y) for x, y in zip(first.image, again.image, strict=True)])
+        first, _, whole = certain(lambda box: self.arcs.krawczyk(box, settings)[0], about.box)
+        parts = self.arcs.parts(whole)
         value, d = parts[0][-2], len(about.flow)
         plain = course(self.model, {self.model.parameter_index(about.parameter): value})
         box = [number for part in parts for number in (*part[:d], part[-1])]
@@ -555,11 +554,6 @@ class _GaitEventProof:
             about, proved=True, contraction=first.contraction, value=said[0], period=said[1], state=state,
             tangent=tangent,
         )  # fmt: skip
-
-
-def regular(equations: TheoremEquations, box: Vector, derivatives: Sequence[Any]) -> bool:
-    """True when every DF over a box is regular."""
-    return invertible(jacobian(equations, box, derivatives))
 
 
 def invertible(slopes: Any) -> bool:

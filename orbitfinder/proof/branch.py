@@ -313,10 +313,10 @@ class _BranchProof:
         still = nodes([arb(0)] * len(centre))
         starts = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(nodes(piece.spread), still, strict=True)]
         clouds = [integrate(here.field, bundle(*pair), settings) for pair in zip(nodes(centre), starts, strict=True)]
-        values: np.ndarray = np.array(residual(here, centre, [end.point for end, _ in clouds]), dtype=object)
+        values = np.array(residual(here, centre, [end.point for end, _ in clouds]), dtype=object)
         around = [x + y for x, y in zip(centre, piece.spread, strict=True)]
         rows = jacobian_rows(here, around, [end.derivatives.ravel().tolist() for end, _ in clouds])
-        slopes: np.ndarray = np.array(rows, dtype=object)
+        slopes = np.array(rows, dtype=object)
         inverse = inverse_along(slopes)
         defect = ranged(table(identity(len(centre))) - inverse @ slopes)
         parts = zip(ranges(inverse @ values), (defect * column(piece.spread)).entries(), strict=True)
@@ -333,7 +333,7 @@ class _BranchProof:
             here = replace(self.equations, energy=arb(middle) + arb(half) * arb(place))
             rows.append([float(x) for x in solve(here, near(place), ROUGH, 1e-13, self.settings.farthest, inverse)[0]])
         bends = np.polynomial.chebyshev.chebfit(places, np.array(rows), DEGREE)
-        powers: np.ndarray = np.zeros((bends.shape[1], DEGREE + 1))
+        powers = np.zeros((bends.shape[1], DEGREE + 1))
         for k, bend in enumerate(bends.T):
             terms = np.polynomial.chebyshev.cheb2poly(bend)  # without the zeros that it ends with
             powers[k, : len(terms)] = terms
@@ -435,15 +435,10 @@ def prove_branch(
         return _concluded(empty, run, codes, asked, lambda: run.pieces(unknowns_at(start), low, high, first))
 
 
-def branch_model(branch: ProvedBranch, trusted: Path | None = None) -> Model:
-    """The Model of a recorded branch."""
-    return build_model(dict(branch.system), trusted)
-
-
 def replayed(branch: ProvedBranch, model: Model | None = None, progress: Progress | None = None) -> ProvedBranch:
     """A recorded proof of a branch done again, from its pieces. Raises `InputError`."""
     with precision(ROUGH.bits):
-        model = model or branch_model(branch)
+        model = model or build_model(dict(branch.system))
         codes = programs(model)
         sections = [branch.section] if branch.section else []
         equations = TheoremEquations(make_field(model, codes), branch.formulation, None, sections)

@@ -57,7 +57,7 @@ def closing(model: Model, codes: Programs, start: Approach) -> Approach:
     rough = TaylorSettings(bits=64, tolerance=1e-14, order=14)
     end = flow(TheoremEquations(field, form, None), place, rough, vary=False)[0]
     slopes = _slopes(field, [*end, *place[-2:]])
-    chosen = sorted(int(k) for k in qr(slopes, mode="r", pivoting=True)[1][: len(slopes)])
+    chosen = sorted(qr(slopes, mode="r", pivoting=True)[1][: len(slopes)].tolist())
     return replace(start, formulation=replace(form, dependent=tuple(chosen)))
 
 

@@ -195,7 +195,7 @@ class _Rest:
         def bent(f: ca.SX) -> ca.SX:
             return ca.jtimes(ca.jtimes(f, x, u), x, v)
 
-        made: dict[str, Callable[[ca.SX], ca.SX]] = {
+        made = {
             "second": bent, "third": lambda f: ca.jtimes(bent(f), x, z),
             "moving": lambda f: ca.jtimes(ca.jtimes(f, x, u), both, away),
         }  # fmt: skip
@@ -244,7 +244,7 @@ class Slopes:
         return eigenvalues(self.jacobian)
 
 
-Wide = Callable[..., dict[str, Any]]
+Wide = Callable[..., Entries]
 """How a ball is recorded"""
 
 
@@ -399,9 +399,8 @@ def _along(c: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     return np.asarray(c * sizes**2 / np.sum((c * sizes) ** 2))
 
 
-def _theorems() -> Mapping[str, type[_RestTheorem]]:
-    """By the event."""
-    return {"": _RestTheorem, "fold": _FoldTheorem, "hopf": _HopfTheorem}
+_theorems: Mapping[str, type[_RestTheorem]] = {"": _RestTheorem, "fold": _FoldTheorem, "hopf": _HopfTheorem}
+"""By the event"""
 
 
 def prove_equilibria(
@@ -433,7 +432,7 @@ def prove_equilibria(
     points = [_Claim("", k, point.state, point.value) for k, point in enumerate(equilibria.points)]
     events = [
         _Claim(event.kind, k, event.state, event.parameter, (), event.frequency)
-        for k, event in enumerate(equilibria.events) if event.kind in _theorems()
+        for k, event in enumerate(equilibria.events) if event.kind in _theorems
     ]  # fmt: skip
     kinds = tuple(event.kind for event in equilibria.events)
     empty = ProvedEquilibria(equilibria.name, equilibria.system, equilibria.parameter, kinds)
@@ -444,7 +443,7 @@ def replay_equilibria(
     recorded: ProvedEquilibria, model: Model | None = None, progress: Progress | None = None
 ) -> tuple[ProvedEquilibria, list[str]]:
     """The proof done again from its record alone, and every recorded claim that it does not prove."""
-    compared: dict[str, Callable[[Any, Any], bool]] = {
+    compared = {
         **dict.fromkeys(("event", "stability", "criticality", "vector"), operator.eq),
         "radius": at_least,
         "contraction": bounding,
@@ -464,7 +463,7 @@ def replay_equilibria(
         stated.append(_Claim(part.event, part.index, np.array(state), value, part.vector, frequency))
     fresh = _concluded(recorded, model or provable_system(recorded.system), stated, progress, 1.0, 2 * DIGITS)
     points = sum(not part.event for part in recorded.parts)
-    numbers = [*range(points), *(k for k, kind in enumerate(recorded.events) if kind in _theorems())]
+    numbers = [*range(points), *(k for k, kind in enumerate(recorded.events) if kind in _theorems)]
     of_points = None if recorded.events else points  # older files do not say which events there were
     wrong = []
     for old, new in zip(claims, fresh.parts, strict=True):
@@ -498,13 +497,13 @@ def _concluded(
 def _part(rest: _Rest, what: _Claim, margin: float, digits: int) -> ProvedRest:
     """An equilibrium, a fold or a Hopf point, proved. Raises `NotProved`."""
     model, d = rest.model, rest.size
-    if what.event not in _theorems() or what.state.shape != (d,) or (what.c and len(what.c) != d):
+    if what.event not in _theorems or what.state.shape != (d,) or (what.c and len(what.c) != d):
         raise NotProved("the record does not fit its system")
     sizes = state_sizes(model, np.abs(what.state))
     size = parameter_sizes(model, [model.parameter_names[rest.at]], np.array([what.value]))
     given, fixed = [arb(float(number)) for number in what.state], decimal(what.value)
     slopes = floats(rest.slopes(given, rest.parameters(fixed))[0])
-    theorem = _theorems()[what.event].about(rest, what, _Near(sizes, size, slopes))
+    theorem = _theorems[what.event].about(rest, what, _Near(sizes, size, slopes))
     w, box, contraction = theorem.proved()
     x, _, _, _, value = theorem.parts(w)
     apart = [(ball - number) / float(unit) for ball, number, unit in zip(x, given, sizes, strict=True)]

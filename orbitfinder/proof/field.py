@@ -315,7 +315,7 @@ class Jet:
         n, d = field.size, field.dimension
         self.n, self.order, self.z, self.code = n, order, z, field.plain
         self.unfolding, self.tau = z[d], z[d + 1]
-        self.states: list[Vector] = [[value] for value in z[:d]]
+        self.states = [[value] for value in z[:d]]
 
         def variables(k: int, accelerations: list[Vector]) -> Vector:
             if k:

@@ -102,7 +102,7 @@ class Formulation:
     @property
     def free(self) -> tuple[int, ...]:
         """Components of the first node that are unknowns."""
-        return tuple(int(i) for i in np.flatnonzero(~self.symmetry.held(self.size)))
+        return tuple(np.flatnonzero(~self.symmetry.held(self.size)).tolist())
 
     @property
     def ends(self) -> tuple[int, ...]:
@@ -112,7 +112,7 @@ class Formulation:
     @property
     def _ends(self) -> tuple[int, ...]:
         """The same without constraints."""
-        ends = (int(i) for i in np.nonzero(self.symmetry.rows(self.size)[1])[1])
+        ends = np.nonzero(self.symmetry.rows(self.size)[1])[1].tolist()
         return (*ends, *range(self.components, self.dimension))
 
     @property
@@ -219,7 +219,7 @@ def approach(
         )
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(period) and period > 0):
         raise InputError("state: state or period is not a usable number; run the problem again")
-    angles, begin, turns = np.asarray(model.angles), 0.0, tuple(int(k) for k in orbit.winding)
+    angles, begin, turns = np.asarray(model.angles), 0.0, tuple(map(int, orbit.winding))
     if begun is not None and begun[0].shape[1] == orbit.state.size and symmetry.reverses and symmetry.forward is None:
         nodes, period = begun
         constants = symmetry.constants(angles, nodes[0], turns=turns) / np.pi

@@ -74,7 +74,7 @@ class GuardedArc:
         self, mode: Mode, transition: Transition, leaving: Sequence[Transition], given: Mapping[int, Any] | None = None
     ) -> None:
         self.mode, self.transition, self.leaving = mode, transition, tuple(leaving)
-        self.field: Field = make_field(mode.model, None, given)
+        self.field = make_field(mode.model, None, given)
         d, p = len(mode.model.state_names), ca.SX.sym("p", len(mode.model.parameter_values))
         x, self.size = ca.SX.sym("x", d), d
 
@@ -200,11 +200,7 @@ class GuardedCycle:
     def fault(self, passed: Sequence[Passed]) -> str:
         """Why the arcs could be no motion of the automaton: an event before the end, or a force that pulls; "" if they
         are."""
-        for arc, each in zip(self.arcs, passed, strict=True):
-            said = _fault(arc, each)
-            if said:
-                return said
-        return ""
+        return next(filter(None, map(_fault, self.arcs, passed)), "")
 
     def shorter(self, parts: Sequence[Vector]) -> int:
         """How many arcs could make a shorter period; 0 if none."""
@@ -258,15 +254,15 @@ class TwistedArc(GuardedArc):
         rate, guard = ca.densify(model.rate(0.0, x, values)), transition.guard(x, values)
         reset = x if transition.reset is None else ca.densify(transition.reset(x, values))
 
-        def varied(exact: ca.SX) -> ca.SX:
-            return ca.vertcat(exact, ca.jtimes(exact, x, y), 0)
-
         def struck(exact: ca.SX) -> ca.SX:
             after, slope, pace = exact[:d], ca.jacobian(exact[d], x), exact[d + 1 :]
             held = y - pace * (slope @ y) / (slope @ pace)
             return ca.vertcat(after, ca.jtimes(after, x, held), state[-1])
 
-        plain, slopes = with_slopes("twisted", [state, none, s, p], rate, ca.vertcat(state, s), varied)
+        plain, slopes = with_slopes(
+            "twisted", [state, none, s, p], rate, ca.vertcat(state, s),
+            lambda exact: ca.vertcat(exact, ca.jtimes(exact, x, y), 0),
+        )  # fmt: skip
         parameters = [decimal(float(value)) for value in model.parameter_values]
         fixed = {3: parameters}
         self.field = Field(

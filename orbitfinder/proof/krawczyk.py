@@ -65,7 +65,7 @@ def residual(equations: TheoremEquations, unknowns: Vector, ends: Sequence[Vecto
     """F at a point (or over a box, without its correlations) from the segments' ends (d each)."""
     form = equations.formulation
     nodes = form.nodes(unknowns)
-    rows: Vector = []
+    rows = []
     for end, following in zip(ends[:-1], nodes[1:], strict=True):
         rows += [a - b for a, b in zip(end, following, strict=False)]
     mirror = form.mirror

@@ -43,7 +43,7 @@ class ScalarProgram:
 
     def run(self, arguments: Sequence[Sequence[Any]], ring: Ring) -> list[dict[int, Any]]:
         """The results on any number type; `arguments` are sequences of its numbers."""
-        values: list[Any] = [None] * self.size
+        values = [None] * self.size
         for target, number in self.constants:
             values[target] = ring.constant(number)
         for target, argument, entry in self.inputs:

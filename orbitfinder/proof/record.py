@@ -54,7 +54,7 @@ def in_digits(ball: Table) -> str:
 def entry(proof: Proof, margin: float = MARGIN, digits: int = DIGITS) -> Entries:
     """The JSON form of a proof."""
     with precision(max(proof.settings.bits, 4 * digits)):
-        document: Entries = {
+        document = {
             "theorem": STATEMENT,
             "proved": proof.proved,
             "reason": proof.reason,
@@ -151,7 +151,7 @@ def options_of(recorded: Table) -> Options:
             f"proof.box_radius: {known.box_radius:g} is less than proof.enclosure_radius {known.enclosure_radius:g}, "
             "so that the box need not hold the orbit; prove the orbit again"
         )
-    chosen: Entries = {"symmetry": known.symmetry, "segments": known.segments, "phase": known.phase % 1.0}
+    chosen = {"symmetry": known.symmetry, "segments": known.segments, "phase": known.phase % 1.0}
     with suppress(KeyError, TypeError, ValueError):
         nodes = np.array([[float(ball["value"]) for ball in node] for node in recorded["nodes"]])
         if nodes.ndim == 2 and len(nodes) == known.segments and np.all(np.isfinite(nodes)):

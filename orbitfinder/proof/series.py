@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from operator import mul
+from operator import add, mul, neg, sub, truediv
 from typing import Any
 
 from orbitfinder.proof.balls import arb, arb_poly, arb_series, truncated
@@ -19,13 +19,13 @@ from orbitfinder.proof.program import Ring, ScalarProgram
 BALLS = Ring(
     arb,
     {
-        "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": mul, "div": lambda a, b: a / b,
-        "neg": lambda a: -a, "sq": lambda a: a * a, "sin": lambda a: a.sin(), "cos": lambda a: a.cos(),
-        "sqrt": lambda a: a.sqrt(), "exp": lambda a: a.exp(), "log": lambda a: a.log(), "pow": lambda a, b: a**b,
+        "add": add, "sub": sub, "mul": mul, "div": truediv, "neg": neg, "pow": pow,
+        "sq": lambda a: a * a, "sin": lambda a: a.sin(), "cos": lambda a: a.cos(),
+        "sqrt": lambda a: a.sqrt(), "exp": lambda a: a.exp(), "log": lambda a: a.log(),
     },
 )  # fmt: skip
 WHOLE: dict[str, Callable[..., Any]] = BALLS.functions | {
-    "scale": mul, "shift": lambda u, c: u + c, "quotient": lambda u, c: c / u,
+    "scale": mul, "shift": add, "quotient": lambda u, c: c / u,
     "power": lambda u, c: (u.log() * c).exp(), "div": lambda a, b: a / b if a.length() or not b.length() else a,
 }  # fmt: skip
 """The operations of a recurrence on whole series (but for sincos, which has two results)
@@ -60,7 +60,7 @@ def recurrence(code: ScalarProgram, constants: Mapping[int, Sequence[Any]]) -> R
         fold.operation(name, target, a, b)
     results = tuple({entry: fold.place(value) for entry, value in result.items()} for result in code.outputs)
     wanted = {value for result in results for value in result.values()}
-    kept: list[Operation] = []
+    kept = []
     for operation in reversed(fold.operations):
         targets = {operation[1], operation[3]} if operation[0] == "sincos" else {operation[1]}
         if targets & wanted:
@@ -74,11 +74,11 @@ class _Fold:
 
     def __init__(self, code: ScalarProgram, constants: Mapping[int, Sequence[Any]]) -> None:
         self.size = code.size
-        self.fixed: dict[int, Any] = {value: arb(number) for value, number in code.constants}
+        self.fixed = {value: arb(number) for value, number in code.constants}
         self.alias: dict[int, int] = {}
         self.pairs: dict[int, tuple[int, int]] = {}
         self.operations: list[Operation] = []
-        self.variables: list[tuple[int, int, int]] = []
+        self.variables = []
         for value, argument, entry in code.inputs:
             if argument in constants:
                 self.fixed[value] = constants[argument][entry]

@@ -313,7 +313,7 @@ def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) 
     """The theorem's equations; the section is normal to the flow at the first node."""
     sections = []
     if start.formulation.sectioned:
-        sections = [([float(x) for x in start.nodes[0]], [float(x) for x in start.flow])]
+        sections = [(start.nodes[0].tolist(), start.flow.tolist())]
     return TheoremEquations(make_field(model, codes), start.formulation, energy, sections)
 
 
@@ -350,6 +350,15 @@ def enclosed(operator: Callable[[Vector], Krawczyk], centre: Vector, say: Progre
             return contracted
         reasons.append(f"radius {size:g}: contraction {contracted.contraction:.3g}")
     raise NotProved("the interval Newton operator maps no box into itself (" + "; ".join(reasons) + ")")
+
+
+def certain(operator: Callable[[Vector], Krawczyk], box: Vector) -> tuple[Krawczyk, Krawczyk, Vector]:
+    """K on a box and on its image, and where the zero is. Raises `NotProved` unless the box is mapped into itself."""
+    first = operator(box)
+    if not first.proved:
+        raise NotProved("the interval Newton operator does not map the box into itself")
+    again = operator(first.image)
+    return first, again, [x.intersection(y) for x, y in zip(first.image, again.image, strict=True)]
 
 
 def verdict(path: Trajectory) -> Stability:

@@ -177,7 +177,9 @@ def reduced(path: Trajectory, matrix: Any) -> Any:
     size = path.formulation.dimension
     flow = path.field.rates(path.first)[:size]
     f, columns = np.array([float(x.mid()) for x in flow]), [flow]
-    held = _held(path)
+    # the gradients (d) of what the motion keeps, at the first node: of phi and J v, of the energy
+    held = path.field.closure(path.first)[1].tolist() if path.formulation.dependent else []
+    held += [path.field.energy(path.first)[1]] if path.formulation.conserved else []
     g = np.array([[float(x.mid()) for x in slope] for slope in held]).reshape(-1, size)
     u = np.linalg.svd(g, full_matrices=False)[2]
     tangent = f - u.T @ (u @ f)
@@ -190,12 +192,6 @@ def reduced(path: Trajectory, matrix: Any) -> Any:
     basis = arb_mat(size, size, [columns[j][i] for i in range(size) for j in range(size)])
     whole, last = basis.solve(matrix * basis, algorithm="precond").tolist(), size - len(held)
     return arb_mat([row[1:last] for row in whole[1:last]])
-
-
-def _held(path: Trajectory) -> list[Vector]:
-    """The gradients (d) of what the motion keeps, at the first node: of phi and J v, of the energy."""
-    slopes = path.field.closure(path.first)[1].tolist() if path.formulation.dependent else []
-    return [*slopes, path.field.energy(path.first)[1]] if path.formulation.conserved else slopes
 
 
 @dataclass(frozen=True)

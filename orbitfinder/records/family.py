@@ -60,7 +60,7 @@ AVOIDED, BECOMES, DECIDED, UNCHANGING = (
 """The details of an avoided crossing; of a change of stability, in the order in which a family is listed; verdicts that
 say something; events at which they do not change"""
 CURVE: Entries = {
-    "cycles": int, "watch": dict[str, Any], "parameters": tuple[str, str], "test": dict[str, Any], "method": str,
+    "cycles": int, "watch": Entries, "parameters": tuple[str, str], "test": Entries, "method": str,
     "form": str, "pace": float, "fixed": dict[str, float], "free": tuple[str, ...],
 }  # fmt: skip
 """Entries of a family's curve that others than its solver read"""
@@ -281,7 +281,7 @@ class Standing:
 
 def _members(kind: type[FamilyPoint] | type[Event]) -> Filed:
     def read(entries: Any, where: str) -> tuple[Any, ...]:
-        told = typed(tuple[Mapping[str, Any], ...], entries, where)
+        told = typed(tuple[Table, ...], entries, where)
         return tuple(restored(kind, entry, f"{where}[{k}]") for k, entry in enumerate(told))
 
     return Filed(list, read)
@@ -555,7 +555,7 @@ def _turns(curve: Table, size: int) -> tuple[int, ...]:
     if constant.shape != (2 * n,) or symmetry not in ("none", "reversal"):
         return (0,) * n
     turned = constant[:n] / (2 * np.pi) if symmetry == "none" else (constant[n:] - constant[:n]) / np.pi
-    return tuple(int(k) for k in np.round(turned))
+    return tuple(np.round(turned).astype(int).tolist())
 
 
 def reverted(event: Event) -> Event:
@@ -563,16 +563,6 @@ def reverted(event: Event) -> Event:
     they differ."""
     changes = event.arclength < 0 and event.detail in BECOMES
     return replace(event, detail=BECOMES[event.detail == BECOMES[0]]) if changes else event
-
-
-def _listed(family: Family) -> Family:
-    """A family whose changes of stability are in the order of its points: older files say of those before its start how
-    it was followed there, away from it."""
-    backwards = [
-        event.arclength < 0 and event.detail in BECOMES and (after == "unstable") != (event.detail == BECOMES[1])
-        for event, (_, after) in zip(family.events, family.sides, strict=True)
-    ]
-    return replace(family, events=tuple(map(reverted, family.events))) if any(backwards) else family
 
 
 @dataclass(frozen=True)
@@ -650,7 +640,7 @@ def family_to_document(family: Family) -> Entries:
 def save_family(family: Family, folder: Path) -> Path:
     """Write family.json and family.npz whole or not at all; returns the JSON's path."""
     folder.mkdir(parents=True, exist_ok=True)
-    dense: dict[str, np.ndarray] = {}
+    dense = {}
     for kind, members in (("point", family.points), ("event", family.events)):
         for name, here in DENSE.items():
             pieces = [np.asarray(getattr(member, here), float).ravel() for member in members]
@@ -712,16 +702,21 @@ def load_family(path: str | Path) -> Family:
             raise InputError(f"{source}: ends[{k}].{fault}; {AGAIN}")
     about = family.name, family.system, family.curve
     try:
-        return replace(
-            _listed(family), points=tuple(situated(point, k, *about) for k, point in enumerate(family.points))
-        )
+        # older files say of the changes of stability before the start how the family was followed there, away from it
+        backwards = [
+            event.arclength < 0 and event.detail in BECOMES and (after == "unstable") != (event.detail == BECOMES[1])
+            for event, (_, after) in zip(family.events, family.sides, strict=True)
+        ]
+        events = tuple(map(reverted, family.events)) if any(backwards) else family.events
+        points = tuple(situated(point, k, *about) for k, point in enumerate(family.points))
+        return replace(family, events=events, points=points)
     except (TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{source}: curve or system: {error}; {AGAIN}") from error
 
 
 def _put_back(dense: Mapping[str, np.ndarray], kind: str, document: Entries) -> None:
     """Give the points or events of a document the arrays of family.npz."""
-    entries = document[f"{kind}s"] = list(typed(tuple[dict[str, Any], ...], document[f"{kind}s"], f"{kind}s"))
+    entries = document[f"{kind}s"] = list(typed(tuple[Entries, ...], document[f"{kind}s"], f"{kind}s"))
     split = {name: _pieces(dense, f"{kind}_{name}", len(entries)) for name in DENSE}
     for k, entry in enumerate(entries):
         size = len(entry["state"]) if isinstance(entry.get("state"), list) else 0

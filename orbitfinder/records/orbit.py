@@ -157,7 +157,7 @@ OFTEN_EMPTY = ("winding", "nodes", "expected", "certificate", "provenance", "shi
 
 def orbit_to_document(orbit: Orbit) -> Entries:
     """The JSON document of an orbit (the contract of orbit.json); floats round-trip exactly."""
-    document: Entries = {"format": FORMAT, "version": VERSION, **entries_of(orbit, Orbit)}
+    document = {"format": FORMAT, "version": VERSION, **entries_of(orbit, Orbit)}
     if not unconserved(orbit):
         document["energy"] = plain_numbers(orbit.energy)  # nan is no energy of a mechanical system
     document["record"] = digest(document)

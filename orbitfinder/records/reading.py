@@ -140,7 +140,7 @@ def json_file(path: Path, what: str, remedy: str) -> Any:
 
 def bounded(document: Any, where: str, remedy: str, finite: bool = True) -> Any:
     """The same document, if it is no deeper than `DEEPEST`, its text is Unicode and its numbers are numbers."""
-    level: list[tuple[str, Any]] = [("", document)]
+    level = [("", document)]
     for _ in range(DEEPEST):
         if not level:
             return document
@@ -433,7 +433,7 @@ def _replace(temporary: str, path: Path) -> None:
 
 def json_bytes(document: Any, compact: bool = False) -> bytes:
     """A document as a line, or over as many lines as it has entries; floats round-trip exactly."""
-    form: Entries = {"separators": (",", ":")} if compact else {"indent": 1}
+    form = {"separators": (",", ":")} if compact else {"indent": 1}
     return (json.dumps(document, allow_nan=False, **form) + "\n").encode()
 
 

@@ -12,7 +12,7 @@ from orbitfinder._runtime.rooms import loaded
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import Entries, Table
 
-Tables = dict[str, dict[str, Any]]
+Tables = dict[str, Entries]
 """Columns by the table that they are of"""
 
 
@@ -56,9 +56,7 @@ def framed(columns: Mapping[str, Sequence[Any]]) -> Any:
     """Columns as a pandas.DataFrame, without pandas as a NumPy record array."""
     words = ("kind", "detail", "criticality", "reason", "stability", "became", "curve")
     empty = dict.fromkeys(words, str) | {"certified": bool, "point": int, "order": int}
-    arrays: Entries = {
-        name: np.asarray(values, None if len(values) else empty.get(name)) for name, values in columns.items()
-    }
+    arrays = {name: np.asarray(values, None if len(values) else empty.get(name)) for name, values in columns.items()}
     try:
         from pandas import DataFrame  # noqa: PLC0415  not ours to ask for
     except ImportError:

@@ -56,7 +56,7 @@ def printed_closure(printed: PrintedOrbit) -> tuple[float, float]:
 
 def orbit_part(folder: Path) -> dict[str, Any]:
     """Refine and certify the four orbits; write orbit.json, figures 11 to 13 and a GIF each."""
-    numbers: dict[str, Any] = {}
+    numbers = {}
     orbits = []
     for printed in ORBITS:
         orbit = refine(printed)
@@ -92,22 +92,18 @@ def orbit_figure(orbits: list[Orbit], title: str) -> Any:
     panels = figure.subplots(len(orbits), 2, squeeze=False, width_ratios=(1.25, 1.0))
     for orbit, (left, right) in zip(orbits, panels, strict=True):
         model = chain(int(orbit.system["links"]))
-        _histories(left, orbit, model)
+        n = model.degrees_of_freedom
+        for i in range(n):
+            left.plot(orbit.times, orbit.samples[:, i], label=rf"$\theta_{i + 1}$", **line_style(i, n))
+        gap_found = gap(orbit.samples[0], orbit.samples[-1], np.zeros(n))
+        dress(left, "time (s)", "angle from the downward vertical (rad)")
+        level = f"{orbit.energy:.6f}".replace("-", "\N{MINUS SIGN}")
+        left.set_title(f"T = {orbit.period:.9f} s, E = {level} J", fontsize=9)
+        left.set_xlim(0, orbit.period)
+        if gap_found < 1e-6:
+            left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=n, frameon=False, fontsize=9)
         _sweep(right, orbit, model)
     return figure
-
-
-def _histories(axes: Any, orbit: Orbit, model: Model) -> None:
-    n = model.degrees_of_freedom
-    for i in range(n):
-        axes.plot(orbit.times, orbit.samples[:, i], label=rf"$\theta_{i + 1}$", **line_style(i, n))
-    gap_found = gap(orbit.samples[0], orbit.samples[-1], np.zeros(n))
-    dress(axes, "time (s)", "angle from the downward vertical (rad)")
-    level = f"{orbit.energy:.6f}".replace("-", "\N{MINUS SIGN}")
-    axes.set_title(f"T = {orbit.period:.9f} s, E = {level} J", fontsize=9)
-    axes.set_xlim(0, orbit.period)
-    if gap_found < 1e-6:
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=n, frameon=False, fontsize=9)
 
 
 def _sweep(axes: Any, orbit: Orbit, model: Model) -> None:

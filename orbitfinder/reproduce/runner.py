@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -56,7 +55,7 @@ def reproduce(folder: str | Path, fresh: bool = False, report: Report | None = N
         (out / "numbers").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"out: cannot write to {out} ({error.strerror}); choose a writable folder") from error
-    numbers: Entries = {}
+    numbers = {}
     for k, part in enumerate(PARTS):
         if report:
             report(part.says, k, len(PARTS))
@@ -70,7 +69,10 @@ def reproduce(folder: str | Path, fresh: bool = False, report: Report | None = N
 def _once(part: Part, out: Path, fresh: bool) -> Entries:
     """A part's numbers, from its record when that was made by the same code."""
     record = out / "numbers" / f"{part.name}.json"
-    key = fingerprint(part)
+    module = import_module(part.module)
+    assert module.__file__ is not None
+    source = Path(module.__file__).read_bytes()
+    key = hashlib.sha256(__version__.encode() + part.function.encode() + source).hexdigest()[:16]
     if not fresh and record.is_file():
         try:
             known = json.loads(record.read_text(encoding="utf-8"))
@@ -84,15 +86,7 @@ def _once(part: Part, out: Path, fresh: bool) -> Entries:
     return dict(json.loads(text)["numbers"])  # as a later run will read it
 
 
-def fingerprint(part: Part) -> str:
-    """Digest of the version and of the source of the part's module."""
-    module = import_module(part.module)
-    assert module.__file__ is not None
-    source = Path(module.__file__).read_bytes()
-    return hashlib.sha256(__version__.encode() + part.function.encode() + source).hexdigest()[:16]
-
-
-Numbers = dict[str, Any]
+Numbers = Entries
 METHODS = (
     ("Newton-Euler", "newton-euler", "2"), ("DAE, native, no stabilisation", "dae", "4"),
     ("DAE, native, Baumgarte", "dae with Baumgarte", "4"), ("Lagrange", "lagrange", "5"),

@@ -307,8 +307,8 @@ def derivation_part(folder: Path) -> Entries:
     """
     costs: Entries = {}
     for formulation in FORMULATIONS:
-        seconds: dict[str, float] = {}
-        operations: dict[str, int] = {}
+        seconds = {}
+        operations = {}
         for count in SIZES:
             model, seconds[str(count)] = _derived(count, formulation)
             operations[str(count)] = _operations(model.acceleration)
@@ -348,7 +348,7 @@ def derivation_figure(costs: Entries) -> Any:
     figure = new_figure(6.4, 3.8, "Time to derive n links")
     axes = figure.subplots()
     for k, (name, entry) in enumerate(costs.items()):
-        counts = [int(n) for n in entry["seconds"]]
+        counts = [*map(int, entry["seconds"])]
         label = rf"{TITLES[name]}: $n^{{{entry['exponent']:.1f}}}$"
         axes.loglog(
             counts, list(entry["seconds"].values()), "os^D"[k] + "-", color=COLOURS[k], label=label, markersize=4
@@ -377,13 +377,6 @@ def hundred_part(folder: Path) -> Entries:
     drawn = AnimationSettings(pixels=320, rate=20, supersampling=2)
     clip = simulation_clip(times, points, f"{LINKS} links from horizontal rest", drawn)
     save_animation(clip, folder / "chain-100.gif", drawn)
-    save_both(chain_figure(times, points, total - total[0], scale), folder / "chain-100")
-    drift = float(np.abs(total - total[0]).max())
-    return {"links": LINKS, "span": SPAN, "drift": drift, "scale": scale, "relative_drift": drift / scale}
-
-
-def chain_figure(times: np.ndarray, points: np.ndarray, drift: np.ndarray, scale: float) -> Any:
-    """Configurations every half second and the energy drift."""
     figure = new_figure(7.2, 3.6, f"{LINKS} links from horizontal rest")
     left, right = figure.subplots(1, 2, width_ratios=(1.1, 1.0))
     chosen = range(0, len(points), 50)
@@ -393,6 +386,8 @@ def chain_figure(times: np.ndarray, points: np.ndarray, drift: np.ndarray, scale
         left.plot(across, -down, color=colour, linewidth=0.9, label=f"{times[k]:.0f} s" if k % 250 == 0 else None)
     plane(left)
     left.legend(frameon=False, fontsize=8)
-    right.plot(times, drift / scale, color=COLOURS[2], linewidth=0.9)
+    right.plot(times, (total - total[0]) / scale, color=COLOURS[2], linewidth=0.9)
     dress(right, "time (s)", r"energy drift / ($m g l n^2 / 2$)")
-    return figure
+    save_both(figure, folder / "chain-100")
+    drift = float(np.abs(total - total[0]).max())
+    return {"links": LINKS, "span": SPAN, "drift": drift, "scale": scale, "relative_drift": drift / scale}

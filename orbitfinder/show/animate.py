@@ -222,7 +222,14 @@ def simulation_clip(
 def draw_frames(clip: Clip, settings: AnimationSettings | None = None) -> list[Any]:
     """The frames as Pillow images with one common palette."""
     settings = settings or AnimationSettings()
-    palette = _palette(settings.dark)
+    # the colours drawn, shaded towards the paper, so that Pillow keeps its own
+    paper, *drawn, _ = (ImageColor.getrgb(colour) for colour in _colours(settings.dark).values())
+    entries, shades = list(paper), 10  # steps from the paper to each colour: what smooth edges need
+    for colour in drawn:
+        for k in range(1, shades + 1):
+            entries += [round(base + (part - base) * k / shades) for base, part in zip(paper, colour, strict=True)]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(entries)
     return [picture.quantize(palette=palette, dither=0) for picture in _pictures(clip, settings)]
 
 
@@ -268,18 +275,6 @@ INKS = {
 
 def _colours(dark: bool) -> dict[str, str]:
     return {name: pair[dark] for name, pair in INKS.items()}
-
-
-def _palette(dark: bool = False) -> Any:
-    """A Pillow palette of the colours drawn, shaded towards the paper, so that it keeps its own."""
-    paper, *drawn, _ = (ImageColor.getrgb(colour) for colour in _colours(dark).values())
-    entries, shades = list(paper), 10  # steps from the paper to each colour: what smooth edges need
-    for colour in drawn:
-        for k in range(1, shades + 1):
-            entries += [round(base + (part - base) * k / shades) for base, part in zip(paper, colour, strict=True)]
-    holder = Image.new("P", (1, 1))
-    holder.putpalette(entries)
-    return holder
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ class Diagram:
 
 def verdicts(family: Family) -> list[bool | None]:
     """Whether each point is stable, None where nothing decides."""
-    said: dict[str, bool | None] = {"unstable": False, "marginal": None}
+    said = {"unstable": False, "marginal": None}
     return [said.get(point.stability, True) for point in family.points]
 
 

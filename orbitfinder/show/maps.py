@@ -15,7 +15,6 @@ from orbitfinder.families.plane import ParameterMap
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import given_units, units
 from orbitfinder.records.family import UNITS
-from orbitfinder.records.reading import Entries
 from orbitfinder.show.plot import forced_unit
 from orbitfinder.show.style import legend, new_figure, save_all
 from orbitfinder.show.svg import axis
@@ -45,7 +44,7 @@ def map_figure(plane: ParameterMap, model: Model | None) -> Figure:
         middle = (values[1:] + values[:-1]) / 2
         edges.append(np.concatenate([[2 * values[0] - middle[0]], middle, [2 * values[-1] - middle[-1]]]))
     axes.set_facecolor(NOTHING)
-    style: Entries = {"rasterized": True, "linewidth": 0}
+    style = {"rasterized": True, "linewidth": 0}
     if plane.by == "stability":
         numbers, names = regions(plane), list(REGIONS)
         axes.pcolormesh(*edges, numbers, cmap=ListedColormap(list(REGIONS.values())), vmin=-0.5, vmax=3.5, **style)

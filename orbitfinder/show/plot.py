@@ -124,7 +124,17 @@ def time_histories(orbit: Orbit, model: Model) -> Figure:
     n = model.degrees_of_freedom
     figure = new_figure(8.0, 6.0, *heading(orbit, "time histories"))
     if model.rates is not None:
-        return _components(figure, course, model)
+        chosen = evenly(n, MOST_PORTRAITS)  # components below each other
+        columns = states[:, chosen].T
+        panels = _below(figure, times, columns, [axis(model, k) for k in chosen], course.period)
+        for axes, column in zip(panels, columns, strict=True):
+            middle, spread = np.nanmean(column), np.nanmax(np.abs(column - column[0]))
+            if 0 < spread < 1e-9 * abs(middle):  # what stands still must not have its round-off magnified
+                axes.set_ylim(*(middle + np.array([-0.5, 0.5]) * abs(middle)))
+            elif 0 < DECADES * np.nanmin(column) < np.nanmax(column):
+                axes.set_yscale("log")
+        mark_events(panels, course)
+        return figure
     upper, lower = figure.subplots(2, 1, sharex=True)
     per = f"/{units(model.system)['time']}"
     for i in range(n):
@@ -181,21 +191,6 @@ def _below(
     return panels
 
 
-def _components(figure: Figure, course: Course, model: Model) -> Figure:
-    """Components of a state over one period below each other (at most 12, evenly chosen)."""
-    chosen = evenly(model.degrees_of_freedom, MOST_PORTRAITS)
-    columns = course.samples[:, chosen].T
-    panels = _below(figure, course.times, columns, [axis(model, k) for k in chosen], course.period)
-    for axes, column in zip(panels, columns, strict=True):
-        middle, spread = np.nanmean(column), np.nanmax(np.abs(column - column[0]))
-        if 0 < spread < 1e-9 * abs(middle):  # what stands still must not have its round-off magnified
-            axes.set_ylim(*(middle + np.array([-0.5, 0.5]) * abs(middle)))
-        elif 0 < DECADES * np.nanmin(column) < np.nanmax(column):
-            axes.set_yscale("log")
-    mark_events(panels, course)
-    return figure
-
-
 def phase_portraits(orbit: Orbit, model: Model) -> Figure:
     """Velocity against coordinate, one panel each (at most 12, evenly chosen); see `Model.planes`.
 
@@ -233,7 +228,12 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
     rounds = 3 if course.walks else 1
     if course.jumps:
         moments = np.linspace(0.0, rounds * course.period, rounds * snapshots // (2 if course.walks else 1) + 1)[:-1]
-        joints, paths = course.positions(moments), _tips(course, rounds)
+        rows = []  # broken by nan at events
+        for k in range(rounds):
+            for piece in course.pieces:
+                rows.append(positions(piece.model, piece.states) + (piece.origin + k * course.stride)[:, None])
+                rows.append(np.full((1, *rows[-1].shape[1:]), np.nan))
+        joints, paths = course.positions(moments), np.concatenate(rows)
     else:
         paths = positions(model, orbit.samples)
         joints = paths[:: max(1, (len(paths) - 1) // snapshots)]
@@ -254,16 +254,6 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
     draw_ground(axes, course)
     legend(figure, axes, "lower center", ncols=4)
     return figure
-
-
-def _tips(course: Course, rounds: int) -> np.ndarray:
-    """Positions (k x 2 x m) at the samples of some periods, broken by nan at events."""
-    rows = []
-    for k in range(rounds):
-        for piece in course.pieces:
-            rows.append(positions(piece.model, piece.states) + (piece.origin + k * course.stride)[:, None])
-            rows.append(np.full((1, *rows[-1].shape[1:]), np.nan))
-    return np.concatenate(rows)
 
 
 def draw_ground(axes: Any, course: Course) -> None:
@@ -629,7 +619,7 @@ def multipliers_along(family: Family) -> Figure:
         lower.plot(*line, ".-", color=COLOURS[k % len(COLOURS)], markersize=3, linewidth=1.0)
     for level in (-2.0, 2.0):
         lower.axhline(level, color="0.5", linewidth=0.7)
-    drawn: dict[str, Any] = {}
+    drawn = {}
     for event, look in ((event, mark_of(event)) for event in family.events):
         if look.across:
             drawn[event.kind.replace("_", " ")] = lower.axvline(event.parameter, color=look.colour, linewidth=0.8)

@@ -105,7 +105,7 @@ def tip(points: np.ndarray) -> int:
 
 def evenly(count: int, most: int) -> list[int]:
     """At most `most` of the indices below `count`, both ends among them."""
-    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))] if count else []
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist() if count else []
 
 
 def equal_times(period: float, count: int) -> np.ndarray:
@@ -161,7 +161,7 @@ def cuts_of(course: Course, moments: np.ndarray) -> tuple[int, ...]:
     """The frames at moments (s, ascending) right after the events of a course, in every period that they are in."""
     rounds = range(int(np.floor(moments[-1] / course.period)) + 1)
     ends = [moment + (k - 1e-9) * course.period for k in rounds for moment, _ in course.events]  # less round-off
-    return tuple(int(k) for k in np.searchsorted(moments, ends))
+    return tuple(np.searchsorted(moments, ends).tolist())
 
 
 def spatial(model: Model) -> bool:

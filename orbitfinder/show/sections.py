@@ -49,7 +49,7 @@ def draw_section(
     section the plane is that of the first manifold or connection. Raises `InputError` where they lie on different
     planes.
     """
-    given: list[Any] = [record for record in (section, *manifolds, *connections) if record is not None]
+    given = [record for record in (section, *manifolds, *connections) if record is not None]
     if not given:
         raise InputError("section: nothing to draw; give a section, a manifold or a connection")
     first = given[0]

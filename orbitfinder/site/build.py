@@ -128,7 +128,7 @@ class Site:
 
     def __init__(self, settings: SiteSettings, solids: Table) -> None:
         self.settings, self.solids = settings, solids
-        self.files: dict[str, bytes] = {}
+        self.files = {}
         self.pages: list[HtmlFile] = []
         for asset in sorted(files(__package__).joinpath(ASSETS).iterdir(), key=lambda path: path.name):
             if asset.is_file():
@@ -187,7 +187,7 @@ def build_site(
         motion = simulator.orbit(file.document, file.dense)
         entries.append(SiteOrbit(file, motion, slug(file.document["name"])))
         tell(f"orbit {len(entries)} of {len(gathered.orbits)} drawn")
-    links: list[Card] = []
+    links = []
     motions: Entries = {}
     families, curves, atlases = slug_maker(), slug_maker(), slug_maker()
     collected = [(atlas, atlases(atlas.name)) for atlas in gathered.atlases]
@@ -380,7 +380,7 @@ def _add_atlas(
 ) -> tuple[Card, list[SiteOrbit]]:  # fmt: skip
     """The page of an atlas; returns its link and the orbits that get a card and a page of their own. Its orbits lead to
     the families among the `links` that pass them."""
-    entries: list[SiteOrbit] = []
+    entries = []
     path = f"atlases/{slugs[0]}.html"
     titles = [str(file.document.get("title") or "") for _, file in atlas.orbits]
     named = all(titles) and len(set(titles)) == len(titles)

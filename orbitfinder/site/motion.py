@@ -415,10 +415,14 @@ def _between(fine: np.ndarray, bones: Skeleton, drifts: bool) -> tuple[np.ndarra
     coarse, between = fine[::2], fine[1::2]
     values, turns = bones.channels(coarse)
     round_ = np.vstack([values[-1:] - turns, values, values[:2] + turns])
-    # Catmull-Rom half way between samples, as in assets/core.js
-    guessed = bones.places((9 * (round_[1:-2] + round_[2:-1]) - round_[:-3] - round_[3:]) / 16)
+    guessed = bones.places(_half_way(round_))
     missed = np.abs(guessed - between)[1 if drifts else 0 : -2 if drifts else None]
     return np.asarray(coarse), float(missed.max()) / extent(coarse)
+
+
+def _half_way(samples: np.ndarray) -> np.ndarray:
+    """Catmull-Rom half way between samples (k), but for the first and the last, as in assets/core.js."""
+    return np.asarray((9 * (samples[1:-2] + samples[2:-1]) - samples[:-3] - samples[3:]) / 16)
 
 
 def _short(number: float) -> float:
@@ -530,8 +534,7 @@ def histories(motion: Filmed) -> Entries:
         states = motion.at(2 * count + 1, endpoint=True)
         turned = states[-1] - states[0]  # whole turns of running orbits
         inner = np.vstack([states[-3] - turned, states[::2], states[2] + turned])
-        curved = (9 * (inner[1:-2] + inner[2:-1]) - inner[:-3] - inner[3:]) / 16
-        if np.all(np.abs(curved - states[1::2]).max(axis=0) <= smooth * sizes):
+        if np.all(np.abs(_half_way(inner) - states[1::2]).max(axis=0) <= smooth * sizes):
             break
     data = base64_of(states[::2].T)
     if not motion.course.jumps:

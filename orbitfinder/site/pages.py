@@ -6,7 +6,6 @@ from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 
@@ -174,7 +173,7 @@ def _check(check: Check) -> Entries:
 def orbit_data(entry: SiteOrbit) -> Entries:
     """What the orbit page's script works with."""
     document, motion = entry.document, entry.motion
-    data: Entries = {
+    data = {
         "name": orbit_name(document),
         "title": entry.title,
         "period": float(document["period"]),
@@ -254,7 +253,7 @@ def _said(family: Family, items: list[Entries]) -> list[Entries]:
 
     listed = {item["number"] for item in items if item["event"]}
     cuts = [event for k, event in enumerate(family.events) if k in listed or event.detail in BECOMES]
-    places, told = [event.arclength for event in cuts], list[dict[str, Any]]()
+    places, told = [event.arclength for event in cuts], list[Entries]()
     for item in items:
         if item["event"]:
             told.append(item | {"says": f"At {where(item['value'])}: {sentence(family, item['number'])}."})

@@ -57,7 +57,7 @@ def section_data(section: Section, gathered: Gathered) -> Entries:
         model: Model | None = gathered.model(section.system)
     except FAILURES:
         model = None
-    items, curves = _motions(section, model), list[dict[str, Any]]()
+    items, curves = _motions(section, model), list[Entries]()
     if model is not None:
         surface = named_surface(model, section.plane, section.axes)
         items += _orbits(section, model, gathered)

@@ -40,7 +40,7 @@ def script_data(key: str, payload: Any) -> str:
 
 def slug_maker() -> Callable[[str], str]:
     """A function that turns names into distinct file names of lower-case letters, digits, - and _."""
-    taken: set[str] = set()
+    taken = set()
 
     def make(name: str) -> str:
         base = re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-")[:60] or "unnamed"

@@ -154,7 +154,10 @@ def connect(
     ends = local_manifold(orbit, cut, "unstable"), local_manifold(goal, cut, "stable")
     if near is not None and (len(near) != 2 or not np.all(np.isfinite(near))):
         raise InputError(f"near: need two numbers, one for each axis, got {', '.join(map(str, near))}")
-    here, there = (_curves(end, returns, chosen) for end in ends)
+    here, there = (
+        [part for way in (1, -1) for part in grown(end, way * end.displacement(chosen.accuracy)[0], returns, chosen)]
+        for end in ends
+    )
     point = None if near is None else np.asarray(near, float)
     called = orbit.name if other is None else f"{orbit.name}-{goal.name}"
     connections, tried = list[Connection](), 0
@@ -168,7 +171,9 @@ def connect(
             made = solved(guess)
         except UNSOLVED:
             continue
-        if _own(made) < ALLOWED.apart or any(_met(cut, made.states[made.chosen], other) for other in connections):
+        state = made.states[made.chosen]
+        own = min(np.linalg.norm((state - end.point) / end.extents) for end in (made.origin, made.goal))
+        if own < ALLOWED.apart or any(_met(cut, state, other) for other in connections):
             continue
         known = certified_connection(described(made, f"{called}-{len(connections) + 1}"), cut.model)
         if known.certificate is None or not known.certificate.passed:
@@ -194,11 +199,6 @@ def _check_section(cut: Surface, orbit: Orbit, goal: Orbit) -> None:
         raise InputError(
             f"other: its energy is {there!r}, that of the first {here!r}; motions keep theirs, find both at one energy"
         )
-
-
-def _curves(base: Local, returns: int, chosen: ManifoldSettings) -> list[Part]:
-    place = base.displacement(chosen.accuracy)[0]
-    return [part for way in (1, -1) for part in grown(base, way * place, returns, chosen)]
 
 
 def _crossings(
@@ -341,12 +341,6 @@ def _angle(chain: ReturnChain, linear: Linearisation, units: np.ndarray) -> floa
         for tangent in tangents(chain, linear) / units[list(chain.origin.surface.axes)]
     )
     return float(np.arcsin(min(1.0, abs(a[0] * b[1] - a[1] * b[0]))))
-
-
-def _own(chain: ReturnChain) -> float:
-    """How far the chosen crossing is from the points of its orbits, in their extents."""
-    state = chain.states[chain.chosen]
-    return min(float(np.linalg.norm((state - end.point) / end.extents)) for end in (chain.origin, chain.goal))
 
 
 def _met(cut: Surface, state: np.ndarray, other: Connection) -> bool:

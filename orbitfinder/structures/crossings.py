@@ -253,18 +253,14 @@ class _Run:
         self.since, self.crossed = np.zeros(k), np.zeros(k, int)
         self.noted, self.located, self.kept = list[np.ndarray](), list[np.ndarray](), 0
         own, going = self._watched(self.times, self.states, self.rates)
-        self.cells = plane.start(own, self.sense * going, self._unit)
+        i = self.plane.component
+        self.cells = plane.start(own, self.sense * going, 0.0 if i < 0 else float(self.of.units[i]))
         self.alive = np.isfinite(states).all(axis=1) & np.isfinite(self.rates).all(axis=1) & (count > 0)
 
     @property
     def done(self) -> int:
         """Crossings that have been made, or will not be."""
         return int(np.where(self.alive, self.crossed, self.count).sum())
-
-    @property
-    def _unit(self) -> float:
-        i = self.plane.component
-        return 0.0 if i < 0 else float(self.of.units[i])
 
     def _watched(self, times: np.ndarray, states: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The plane's component and its rate forwards in time; time itself counts from where it began."""

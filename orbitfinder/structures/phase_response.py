@@ -142,7 +142,13 @@ def phase_response(orbit: Orbit, model: Model | None = None, *, name: str | None
         raise InputError(f"orbit: not hyperbolic, another multiplier is {apart:.1g} from the unit circle: there is no "
                          "asymptotic phase beside it; take the orbit of another parameter")  # fmt: skip
     rates = march.rates(starts, tail)
-    response = _adjoint(factors, rates * orbit.period / units) * orbit.period / units
+    # z (k x d) with z_k = A_k^T z_{k+1} round the cycle and z . rate = 1
+    count, size, _ = factors.shape
+    onwards = sparse.bsr_matrix((factors.swapaxes(1, 2), (np.arange(count) + 1) % count, np.arange(count + 1)))
+    border = sparse.csr_matrix((rates * orbit.period / units).reshape(1, -1) / count)
+    whole = sparse.bmat([[sparse.identity(count * size) - onwards, border.T], [border, None]], format="csc")
+    solved = splu(whole).solve(np.eye(1, count * size + 1, count * size)[0])[:-1]
+    response = solved.reshape(count, size) * orbit.period / units
     off = float(np.abs((response * rates).sum(axis=1) - 1).max())
     whose, times = (name or orbit.name, dict(orbit.system), orbit.period, orbit.winding), orbit.period * mesh[:-1:2]
     curve = PhaseResponse(*whose, times, starts, response, off, floquet.multipliers, floquet.stability)
@@ -159,15 +165,6 @@ def _mesh(model: Model, orbit: Orbit) -> np.ndarray:
     shares = np.linspace(0.0, 1.0, 4 * max(len(trace.moments) for trace in traces), endpoint=False)
     parts = [np.interp(shares, np.linspace(0.0, 1.0, len(own)), own) for own in (trace.moments for trace in traces)]
     return np.append(np.concatenate([part / orbit.period + k / count for k, part in enumerate(parts)]), 1.0)
-
-
-def _adjoint(factors: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """z (k x d) with z_k = A_k^T z_{k+1} round the cycle and z . rate = 1."""
-    count, size, _ = factors.shape
-    onwards = sparse.bsr_matrix((factors.swapaxes(1, 2), (np.arange(count) + 1) % count, np.arange(count + 1)))
-    border = sparse.csr_matrix(rates.reshape(1, -1) / count)
-    whole = sparse.bmat([[sparse.identity(count * size) - onwards, border.T], [border, None]], format="csc")
-    return np.asarray(splu(whole).solve(np.eye(1, count * size + 1, count * size)[0])[:-1].reshape(count, size))
 
 
 def _others(factors: np.ndarray) -> tuple[Floquet, float]:

@@ -370,11 +370,10 @@ def section(
 @contextlib.contextmanager
 def _track(path: Path | None, request: Mapping[str, Any], motions: int, crossings: int) -> Iterator[Track]:
     """The track in a journal; lines have so many columns."""
-
-    def read(entry: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-        return unpacked(entry["motions"], motions), unpacked(entry["crossings"], crossings)
-
-    with checkpoints(path, request, read) as journal:
+    with checkpoints(
+        path, request,
+        lambda entry: (unpacked(entry["motions"], motions), unpacked(entry["crossings"], crossings)),
+    ) as journal:  # fmt: skip
         yield Track(
             journal.known, lambda where, rows: journal.add({"motions": packed(where), "crossings": packed(rows)})
         )

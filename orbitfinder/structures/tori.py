@@ -387,7 +387,14 @@ class _Keeping:
         """The Torus. Raises `ConvergenceError` where its curve needs more states."""
         if unresolved(point.w.curve / self.ring.units) > RESOLVED:
             raise ConvergenceError(f"a torus needs more than {len(point.w.curve)} states")
-        record = _recorded(point)
+        w, ring = point.w, point.problem
+        p = ring.equations
+        energy = ring.value(w, "energy") if p.model.conservative else np.nan
+        measured = w.curve / ring.units
+        free = {name: float(value) for name, value in zip(p.free, w.free, strict=True)}
+        record = Torus(
+            w.curve, w.period, float(w.angle / (2 * np.pi) % 1.0), energy, unresolved(measured), strip(measured), free
+        )
         return certify_torus(record, self.model) if self.certify else record
 
     def write(self, point: Point, record: Torus) -> Entries:
@@ -406,17 +413,6 @@ class _Keeping:
         if tangent.shape != w.vector.shape:
             raise ValueError("a tangent of another size")
         return Point(ring, w, tangent, float(entry["arclength"]), float(entry["step"])), record
-
-
-def _recorded(point: Point) -> Torus:
-    w, ring = point.w, point.problem
-    p = ring.equations
-    energy = ring.value(w, "energy") if p.model.conservative else np.nan
-    measured = w.curve / ring.units
-    free = {name: float(value) for name, value in zip(p.free, w.free, strict=True)}
-    return Torus(
-        w.curve, w.period, float(w.angle / (2 * np.pi) % 1.0), energy, unresolved(measured), strip(measured), free
-    )
 
 
 def _ended(curve: SolutionCurve, asked: str, until: float | None, most: int) -> str:
@@ -487,15 +483,11 @@ def certify_torus(torus: Torus, model: Model) -> Torus:
         at_most("once", float((gcd(*map(int, there)) if there.size else 0) - 1), 0.0, "the curve is gone round once"),
     ]  # fmt: skip
     if own.conservative:
-        checks.append(at_most("energy", _spread(own, starts, torus.energy), INVARIANT, "over the curve, relative"))
+        kinetic, potential = energies(own, starts)
+        exchanged = np.abs(kinetic if own.rates is None else potential).max()
+        drift = float(np.abs(kinetic + potential - torus.energy).max() / nonzero(exchanged))
+        checks.append(at_most("energy", drift, INVARIANT, "over the curve, relative"))
     if own.forced:
         cycles = torus.period / own.driving_period
         checks.append(at_most("forcing", abs(cycles - round(cycles)), INVARIANT, "a return is whole periods of it"))
     return replace(torus, certificate=Certificate(tuple(checks)))
-
-
-def _spread(model: Model, states: np.ndarray, energy: float) -> float:
-    """The largest difference from an energy over states, relative to the kinetic energy there."""
-    kinetic, potential = energies(model, states)
-    size = np.abs(kinetic if model.rates is None else potential).max()
-    return float(np.abs(kinetic + potential - energy).max() / nonzero(size))

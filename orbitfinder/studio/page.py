@@ -213,7 +213,7 @@ class Page(Desk):
             self.where = ui.label("").classes("number").props('id="where"')
             with ui.row().classes("items-center gap-3 w-full"):
                 self.events = ui.select({}, label="event").props("dense options-dense").classes("grow")
-                self.leave = button("Branch", self.safe(self._branch), "branch")
+                button("Branch", self.safe(self._branch), "branch")
                 button("Keep this orbit", self.safe(self._keep_member), "keep-member", "flat")
 
     def _kept(self) -> None:
@@ -232,7 +232,13 @@ class Page(Desk):
 
     def _heard(self, what: Any) -> None:
         if isinstance(what, FilmedStep):
-            self._grown(what)
+            if what.family != self.growing:  # the next of several branches
+                self._begin(what.family, self.parameter)
+            for point, film in zip(what.batch.points, what.films, strict=True):
+                self.films[point.state.tobytes()] = film
+                self.points.insert(len(self.points) if what.batch.direction > 0 else 0, point)
+            self.stale = True
+            self.say(f"{what.family}: {plural(len(self.points), 'orbit')}")
         else:
             self.say(str(what))
 
@@ -466,15 +472,6 @@ class Page(Desk):
         """Forget the family that is shown, for one that grows."""
         self.growing, self.points, self.parameter, self.stale = name, [], parameter, True
         self.events.set_options({}, value=None)
-
-    def _grown(self, step: FilmedStep) -> None:
-        if step.family != self.growing:  # the next of several branches
-            self._begin(step.family, self.parameter)
-        for point, film in zip(step.batch.points, step.films, strict=True):
-            self.films[point.state.tobytes()] = film
-            self.points.insert(len(self.points) if step.batch.direction > 0 else 0, point)
-        self.stale = True
-        self.say(f"{step.family}: {plural(len(self.points), 'orbit')}")
 
     growing = ""
     parameter = "energy"

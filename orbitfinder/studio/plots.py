@@ -19,7 +19,7 @@ from orbitfinder.show.svg import ranged
 from orbitfinder.site.text import coordinate
 from orbitfinder.studio.tasks import Cut, Settled
 
-Trace = dict[str, Any]
+Trace = Entries
 STABLE, UNSTABLE, MARK, OTHER = "#0072b2", "#d55e00", "#008060", "#8a94a0"
 MOTIONS = (STABLE, UNSTABLE, "#7a3e9d", "#8a6d00")
 DARK = {STABLE: "#56b4e9", UNSTABLE: "#f0a35e", MARK: "#3fc79a", MOTIONS[2]: "#cc99e0", MOTIONS[3]: "#d8bf4a"}

@@ -76,7 +76,16 @@ def opened(file: Path | None) -> Opened:
     if file.suffix == ".py":
         raise InputError(f"{file}: the studio runs no Python files; give a TOML file, an orbit.json or a family.json")
     if member(file)[0].suffix == ".json" or kind_of(member(file)[0]) == "atlas":
-        return _recorded(file)
+        field = str(taken("studio", file))
+        if field == "family":
+            family = load_family(file)
+            orbit: Orbit = family.points[0]
+            name = family.name
+        else:
+            orbit = load_orbit(file if field == "orbit" else f"{file}#{_rows(file)[0].id}")
+            name = orbit.name if field == "orbit" else file.stem
+        place: Entries = {field: file}
+        return Opened(build_model(orbit.system), orbit.state, SWINGS * orbit.period, name, **place)
     loaded = load_problem_file(file)
     build_model(loaded.model.system)  # as every process of the studio does; it says why where that cannot be
     if loaded.problem is None:
@@ -88,20 +97,6 @@ def opened(file: Path | None) -> Opened:
     )
     period = float(problem.guess.period)
     return Opened(problem.model, problem.guess.start, SWINGS * period, loaded.name, (period, text))
-
-
-def _recorded(file: Path) -> Opened:
-    """An orbit, or the first one of a family.json or an atlas."""
-    field = str(taken("studio", file))
-    if field == "family":
-        family = load_family(file)
-        orbit: Orbit = family.points[0]
-        name = family.name
-    else:
-        orbit = load_orbit(file if field == "orbit" else f"{file}#{_rows(file)[0].id}")
-        name = orbit.name if field == "orbit" else file.stem
-    place: Entries = {field: file}
-    return Opened(build_model(orbit.system), orbit.state, SWINGS * orbit.period, name, **place)
 
 
 def _rows(atlas: Path) -> list[AtlasRow]:

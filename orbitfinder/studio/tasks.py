@@ -43,7 +43,7 @@ from orbitfinder.structures.sections import crossings, section
 from orbitfinder.studio.films import around, film, pose, view
 
 Say = Callable[[Any], None]
-Film = dict[str, Any]
+Film = Entries
 
 LEAST_SAMPLES, MOST_SAMPLES = 400, 3000
 BEFORE, SEEDS, CROSSINGS = 0.999, 24, 60

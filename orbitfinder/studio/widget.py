@@ -109,7 +109,7 @@ def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> Entries:
         | {"period": member.period, "motion": packed(motion) if motion else None, "portrait": portrait}
         for member, motion, portrait in zip(members, motions, _portraits(simulator, value.system, motions), strict=True)
     ]
-    shown: Entries = {
+    shown = {
         "items": items,
         "solids": simulator.solids,
         "title": "",

@@ -223,7 +223,15 @@ def normal_mode(
     if not (np.isfinite(amplitude) and amplitude > 0):
         raise InputError(f"guess.amplitude: must be positive and finite, got {amplitude}; give an angle in rad")
     if model.rates is not None:
-        return _first_order_mode(model, mode, amplitude, np.zeros(n) if equilibrium is None else equilibrium)
+        # a turn of the ellipse x* + a Re(u exp(i w t)) that a pair of eigenvalues goes round
+        place, values, vectors = first_order_modes(model, np.zeros(n) if equilibrium is None else equilibrium)
+        pairs = f"{plural(values.size, 'pair')} of complex eigenvalues"
+        _check_mode(mode, values.size, f"the equilibrium at {place.tolist()} has {pairs}")
+        shape, frequency = vectors[:, mode - 1], float(values[mode - 1].imag)
+        shape = amplitude * shape / shape[np.abs(shape).argmax()]
+        times = np.linspace(0.0, 2 * np.pi / frequency, 65)
+        states = place + np.real(np.exp(1j * frequency * times)[:, None] * shape)
+        return Guess(states[0], float(times[-1]), times, states)
     if model.constraint is not None:
         return linkage_mode(model, mode, amplitude, equilibrium)
     if model.gyroscopic is not None and model.conservative:
@@ -282,18 +290,6 @@ def first_order_modes(
     turning = np.flatnonzero(values.imag > np.sqrt(OSCILLATES) * np.abs(values).max(initial=0.0))
     turning = turning[np.argsort(values[turning].imag)]
     return rest, values[turning], vectors[:, turning]
-
-
-def _first_order_mode(model: Model, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray) -> Guess:
-    """One turn of the ellipse x* + a Re(u exp(i w t)) that a pair of eigenvalues goes round."""
-    place, values, vectors = first_order_modes(model, equilibrium)
-    pairs = f"{plural(values.size, 'pair')} of complex eigenvalues"
-    _check_mode(mode, values.size, f"the equilibrium at {place.tolist()} has {pairs}")
-    shape, frequency = vectors[:, mode - 1], float(values[mode - 1].imag)
-    shape = amplitude * shape / shape[np.abs(shape).argmax()]
-    times = np.linspace(0.0, 2 * np.pi / frequency, 65)
-    states = place + np.real(np.exp(1j * frequency * times)[:, None] * shape)
-    return Guess(states[0], float(times[-1]), times, states)
 
 
 def rest_near(model: Model, place: Sequence[float] | np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from orbitfinder.continuation.follow import zero
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.equations import acceleration_slopes, accelerations
 from orbitfinder.integrate.field import rates_of, vector_field
+from orbitfinder.integrate.march import divided
 from orbitfinder.loops.problem import Guess
 from orbitfinder.mechanics.model import Model, wrapped
 
@@ -107,8 +108,7 @@ def _apart(model: Model, guess: Guess) -> float:
 def _between(course: Settling, begin: float, lasts: float) -> Guess:
     """The part of a simulation from a time on, sampled closely."""
     inside = course.times[(course.times > begin) & (course.times < begin + lasts)] - begin
-    steps = np.concatenate([[0.0], inside, [lasts]])
-    steps = np.interp(np.arange(BETWEEN * (steps.size - 1) + 1) / BETWEEN, np.arange(steps.size), steps)
+    steps = divided(np.concatenate([[0.0], inside, [lasts]]), BETWEEN)
     states = course.at(begin + steps)
     return Guess(states[0], float(lasts), steps, states)
 
@@ -146,11 +146,10 @@ def _lap(
     crossed = np.flatnonzero((heights[:-1] < 0) & (heights[1:] >= 0))
     if not crossed.size:
         return None
-
-    def height(t: float) -> float:
-        return float((course.at(np.array([t]))[0] - start) @ normal)
-
-    moments = np.array([zero(height, times[k], times[k + 1], 1e-15 * period) for k in crossed])
+    moments = np.array([
+        zero(lambda t: float((course.at(np.array([t]))[0] - start) @ normal), times[k], times[k + 1], 1e-15 * period)
+        for k in crossed
+    ])  # fmt: skip
     apart = np.abs((course.at(moments) - start) / units).max(axis=1)
     least = apart.min()
     first = int(np.argmax(apart <= max(2 * least, BACK / 10)))
