@@ -9,12 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import verified
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import DomainError, InputError
 from orbitfinder.families.ends import end_of_failure
-from orbitfinder.families.rest_certificate import verified
 from orbitfinder.families.rest_problem import regular
 from orbitfinder.families.run import Run, first_point, step_at
 from orbitfinder.families.start import begin
