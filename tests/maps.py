@@ -11,8 +11,8 @@ import orbitfinder as of
 from orbitfinder.integrate.compiled import compiling
 from orbitfinder.records.family import Family
 
-Map = Callable[[ca.MX | float], ca.MX | np.ndarray]
-"""M(s), of a number or of CasADi's symbol"""
+Map = Callable[..., ca.MX | np.ndarray]
+"""M(s), of a number or of CasADi's symbol; of further parameters, M(s, ...)"""
 
 
 def diagonal(*entries: ca.MX | float) -> ca.MX:
@@ -20,30 +20,33 @@ def diagonal(*entries: ca.MX | float) -> ca.MX:
     return ca.diag(ca.vertcat(*entries))
 
 
-def wound_back(family: Map, size: int) -> of.Problem:
+def wound_back(family: Map, size: int, **more: float) -> of.Problem:
     """A clock that is set back after each unit of time, and z = 0 beside it, which M(s) then multiplies.
 
     The parameter is 1 where s = 0, so that lengths along the family are those of s.
     """
     names = [f"z{k}" for k in range(size)]
-    run = of.ode(lambda t, x, p: [1.0 + 0 * p.s, *[0.0] * size], ["clock", *names], {"s": 1.0})
+    run = of.ode(lambda t, x, p: [1.0 + 0 * p.s, *[0.0] * size], ["clock", *names], {"s": 1.0, **more})
 
     def reset(x, p):
-        return [0.0, *ca.vertsplit(family(p.s - 1.0) @ ca.vertcat(*(x[name] for name in names)))]
+        z = ca.vertcat(*(x[name] for name in names))
+        return [0.0, *ca.vertsplit(family(p.s - 1.0, *(p[name] for name in more)) @ z)]
 
     back = of.Transition("back", "run", "run", lambda x, p: 1.0 - x.clock, reset)
     return of.Problem(of.hybrid({"run": run}, [back], ["back"]), of.Guess(np.zeros(1 + size), 1.0), name="planted")
 
 
-def bouncing(family: Map, degrees: int, low: float = 0.0) -> of.Problem:
+def bouncing(family: Map, degrees: int, low: float = 0.0, **more: float) -> of.Problem:
     """A ball that bounces once a second and keeps its energy, and (q, p) = 0 beside it, which a bounce multiplies by
     the symplectic M(s); the parameter is 1 where s = low."""
     names = [[f"{letter}{k}" for k in range(degrees)] for letter in "qp"]
-    air = of.hamiltonian(lambda x, c: x.v**2 / 2 + 9.8 * x.h + 0 * c.s, ["h", *names[0]], ["v", *names[1]], {"s": 1.0})
+    air = of.hamiltonian(
+        lambda x, c: x.v**2 / 2 + 9.8 * x.h + 0 * c.s, ["h", *names[0]], ["v", *names[1]], {"s": 1.0} | more
+    )
 
     def reset(x, c):
         z = ca.vertcat(*(x[name] for each in names for name in each))
-        after = ca.vertsplit(family(c.s - 1.0 + low) @ z)
+        after = ca.vertsplit(family(c.s - 1.0 + low, *(c[name] for name in more)) @ z)
         return [x.h, *after[:degrees], -x.v, *after[degrees:]]
 
     bounce = of.Transition("bounce", "air", "air", lambda x, c: x.h, reset)
