@@ -444,17 +444,15 @@ def run(arguments):
 
 
 def test_the_row_of_the_test_is_its_derivative(duffing):
-    """Along any direction that keeps the other equations, by differences of another step."""
-    start = curve_start(duffing, event_of(duffing, "fold"), ("force", "frequency")).start
-    curve, found = start.curve, start.solution
-    kernel = np.linalg.svd(found.jacobian[:-1])[2][-2:]
-    for weights in ((1.0, 0.0), (0.3, -0.8)):
-        along = np.array(weights) @ kernel
-        ends = []
-        for step in (-2e-5, 2e-5):
-            w = found.place.moved(step * along)
-            ends.extend(curve.test(curve, [replace(found, place=w, march=curve.equations.varied(w, states=True))]))
-        assert (ends[1] - ends[0]) / 4e-5 == pytest.approx(found.jacobian[-1] @ along, rel=1e-5, abs=1e-7)
+    """A curve leads along the kernel of all rows, the test's among them: where its orbits go, by their differences."""
+    values = 0.305 + 1e-4 * np.array([-2, -1, 0, 1, 2])
+    curve = of.follow_curve(duffing, event_of(duffing, "fold"), ("force", "frequency"), at=values, until=0.31,
+                            settings=FEW)  # fmt: skip
+    points = [next(one for one in curve.points if abs(one.free["force"] - value) < 1e-12) for value in values]
+    along, weights = points[2].tangent, np.array([1, -8, 0, 8, -1]) / 12e-4
+    for numbers, rate in (([one.free["frequency"] for one in points], along[-1]),
+                          ([one.period for one in points], along[2])):  # fmt: skip
+        assert rate / along[-2] == pytest.approx(weights @ numbers, rel=1e-5, abs=1e-7)
 
 
 # ---- planted maps ----------------------------------------------------------------------------------------------
@@ -480,12 +478,14 @@ def test_a_curve_of_doublings_where_another_multiplier_is_minus_one_too():
 
 
 def test_a_curve_of_tori_beside_a_multiplier_of_minus_one():
-    """(0.6 -+ 0.8 i) (s + r / 10 + 0.5) and r: the pair is told by its product, whatever is beside it."""
+    """(0.6 -+ 0.8 i) (s + r / 10 + 0.5) and r: the pair is told by its product, whatever is beside it, a pair of
+    product 1/4 too."""
 
     def family(s, r):
-        return ca.diagcat((0.5 + s + r / 10) * ca.DM([[0.6, -0.8], [0.8, 0.6]]), r)
+        other = ca.DM([[0.3, -0.4], [0.4, 0.3]])
+        return ca.diagcat((0.5 + s + r / 10) * ca.DM([[0.6, -0.8], [0.8, 0.6]]), r, other)
 
-    curve = curve_of(wound_back(family, 3, r=-0.5), "torus", -1.5)
+    curve = curve_of(wound_back(family, 5, r=-0.5), "torus", -1.5)
     at = curve.places[: len(curve.points)]
     assert np.abs(at[:, 1] + at[:, 0] / 10 - 1.5).max() < 1e-9 and [end.kind for end in curve.ends] == ["target"]
     (event,) = curve.events
