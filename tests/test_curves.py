@@ -452,7 +452,7 @@ def test_the_row_of_the_test_is_its_derivative(duffing):
     along, weights = points[2].tangent, np.array([1, -8, 0, 8, -1]) / 12e-4
     for numbers, rate in (([one.free["frequency"] for one in points], along[-1]),
                           ([one.period for one in points], along[2])):  # fmt: skip
-        assert rate / along[-2] == pytest.approx(weights @ numbers, rel=1e-5, abs=1e-7)
+        assert rate / along[-2] == pytest.approx(weights @ numbers, rel=1e-9)
 
 
 # ---- planted maps ----------------------------------------------------------------------------------------------
