@@ -13,6 +13,7 @@ from scipy.linalg import expm
 import orbitfinder as of
 from orbitfinder.families.stability import matching
 from orbitfinder.families.verified import verified
+from orbitfinder.integrate.march import March
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.orbits.floquet import analyse
 
@@ -246,12 +247,33 @@ def test_matching_keeps_the_order_of_indices_that_move_together():
         assert np.array_equal(np.array(found)[matching(before, np.array(found))], [0.3, 0.4])
 
 
+def passing(width, sign=-1.0):
+    """Two indices that pass each other at 0.62, or come as near as 2 `width` (of one signature), or collide."""
+
+    def family(s):
+        a, d = (0.3 + slope * (s - 0.62) for slope in (0.5, -0.5))
+        return symplectic(ca.blockcat([[a, sign * width], [width, d]]), sign)
+
+    return family
+
+
 @pytest.mark.parametrize(("width", "collides"), [(1 / 1200, True), (0.0, False)])
 def test_a_dip_between_two_orbits_is_found(width, collides):
     """Indices that exchange signatures are complex on one part in 300 of a step, or pass each other."""
-    found = named(lambda s: symplectic(meeting(0.3 + 0.5 * (s - 0.62), 0.3 - 0.5 * (s - 0.62), width)), 0.0, 1.0)
-    met = [place for kind, _, place in found if kind == "collision"]
+    met = [place for kind, _, place in named(passing(width), 0.0, 1.0) if kind == "collision"]
     assert met == (pytest.approx([0.62 - 2 * width, 0.62 + 2 * width], abs=1e-9) if collides else [])
+
+
+def test_few_looks_tell_that_there_is_no_dip(monkeypatch):
+    """Where signatures are exchanged nine orbits are looked at, of two marches each at most, and else none."""
+    marched, varied = [], March.varied_each
+    monkeypatch.setattr(March, "varied_each", lambda *given: marched.append(1) or varied(*given))
+    counts = []
+    for sign in (1.0, -1.0):
+        marched.clear()
+        assert named(passing(0.0, sign), 0.0, 1.0, resonances=2) == []
+        counts.append(len(marched))
+    assert 0 < counts[1] - counts[0] <= 2 * 9
 
 
 def test_what_an_event_itself_refutes_is_said_of_it():
