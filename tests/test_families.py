@@ -26,6 +26,7 @@ from orbitfinder.families.start import begin
 from orbitfinder.families.verified import verified
 from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.loops import mesh as mesh_module
 from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.symmetry import SYMMETRIES
@@ -443,15 +444,34 @@ def test_a_check_goes_round_from_the_nodes(wild):
     assert index(gone((times, states + 1e-6))) == index(alone)
 
 
-def test_a_direction_is_carried_to_other_segments(wild):
+def test_a_direction_is_carried_to_other_segments(wild, monkeypatch):
     """Between two nodes it was interpolated, and a family turned back where its segments were made anew."""
-    edges = [point.mesh[:: (point.mesh.size - 1) // len(point.shooting_nodes)] for point in wild.points]
-    renewed = [k for k, (a, b) in enumerate(pairwise(edges)) if a.size != b.size or not np.array_equal(a, b)]
-    assert renewed and np.all(np.diff(wild.values("energy")) > 0) and wild.ends[-1].kind == "target"
-    for k in renewed:
-        before, after = wild.points[k : k + 2]
-        step = np.append(after.state - before.state, after.period - before.period)[[0, 1, 4]]  # it starts from rest
-        assert step / np.abs(step) @ (after.tangent[[0, 1, 4]] / np.abs(step)) > 0
+    point = wild.points[-1]
+    problem = Problem(chain(2), of.Guess(point.state, point.period), symmetry="brake+reflection")
+    settings = FamilySettings(events=False, certify=False, directions="forward", points=8, first_step=0.05)
+    with compiling("off"):
+        start = begin(problem, settings)
+    made = [np.nan]
+
+    def another(curve, solution):
+        """The same orbit on segments of other lengths than those of the last."""
+        place = solution.place
+        made.append(place.period)
+        mesh = place.mesh[-1] * np.linspace(0.0, 1.0, place.mesh.size) ** (1.0 + 0.5 * (len(made) % 2))
+        nodes = mesh_module.between(curve, solution, mesh[place.steps : -1 : place.steps])
+        return replace(place, nodes=np.vstack([place.nodes[:1], nodes]), mesh=mesh)
+
+    monkeypatch.setattr(mesh_module, "remeshed", another)
+    monkeypatch.setattr(mesh_module, "regraded", lambda curve, solution: solution.place.mesh)
+    monkeypatch.setattr(
+        mesh_module, "needs_mesh", lambda curve, solution, every=1: not abs(solution.place.period / made[-1] - 1) < 1e-9
+    )
+    with compiling("off"):
+        family = follow_family(start, settings=settings)
+    edges = [each.mesh[:: (each.mesh.size - 1) // len(each.shooting_nodes)] for each in family.points]
+    assert not any(np.array_equal(one, two) for one, two in pairwise(edges))
+    assert family.points[0].value == pytest.approx(19.55, abs=1e-6) and len(family.points) == 9
+    assert np.all(np.diff(family.values("energy")) > 0)
 
 
 @pytest.mark.parametrize("file", sorted(FAMILIES.glob("*/family.json")), ids=lambda file: file.parent.name)
