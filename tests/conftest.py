@@ -22,15 +22,18 @@ from _pytest.faulthandler import fault_handler_stderr_fd_key
 from lending import Lender
 from threadpoolctl import threadpool_limits
 
+from orbitfinder._runtime.rooms import loaded
+from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.integrate.compiled import exposed
 from orbitfinder.integrate.cvodes import Flow
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.records.certificate import Certificate
 from orbitfinder.records.orbit import Orbit, save_orbit
-from orbitfinder.records.registry import load_orbit
+from orbitfinder.records.registry import kinds, load_orbit
 
 DATA = Path(__file__).parent / "data"
 """Copies of shared/reference/*.json, computed independently of this project (see their `meta`)."""
@@ -98,6 +101,11 @@ def reference(file: str) -> dict[str, dict]:
 def inside(event, value: float, known: float = 0.0) -> bool:
     """Whether a value that is `known` to so much is within the error bar of an event, which is below 1e-8 of it."""
     return abs(event.parameter - value) <= event.error + known and event.error < 1e-8 * abs(value)
+
+
+def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
+    """What `orbitfinder verify` answers of equilibria: what is entered for their kind."""
+    return loaded(kinds()["equilibria"].verify)(equilibria, model)
 
 
 @contextlib.contextmanager

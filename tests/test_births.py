@@ -9,20 +9,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import verified
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import DomainError, InputError
-from orbitfinder.families.ends import end_of_failure
-from orbitfinder.families.rest_certificate import verified
 from orbitfinder.families.rest_problem import regular
-from orbitfinder.families.run import Run, first_point, step_at
 from orbitfinder.families.start import begin
 from orbitfinder.integrate.jets import at_rest
-from orbitfinder.loops.continued import correct, plane
 from orbitfinder.loops.scales import sizes
 from orbitfinder.mechanics.kind import with_parameters
-from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.problemfile.read import load_problem_file
 from orbitfinder.records.ends import end_fault, stuck
 from orbitfinder.records.family import CLOSURE, End
@@ -121,27 +117,32 @@ def test_a_vertical_family_is_followed_to_its_end():
     assert family.ends[-1].kind == "heteroclinic" and max(abs(point.value) for point in family.points) < 1e-12
 
 
-def test_a_first_orbit_that_does_not_close_gets_a_finer_mesh():
+def test_a_first_orbit_that_does_not_close_gets_a_finer_mesh(monkeypatch):
     """As every later one: a family failed at its start that was followed to there from its other end."""
-    settings = replace(SETTINGS, parameter="damping")
-    start = begin(of.Problem(of.systems.van_der_pol(), of.Guess([2.0, 0.0], 6.66)), settings)
-    curve, place = start.curve, start.solution.place
-    coarse = place.on(np.interp(np.linspace(0, 1, 25), np.linspace(0, 1, place.mesh.size), place.mesh))
-    solution = correct(curve, coarse, plane(curve, coarse, start.direction), coarse)
-    check = ClosureCheck(curve.equations.model)
-    point = first_point(replace(start, solution=solution), settings, check)
-    assert point.closure <= CLOSURE * point.scale and point.mesh.size > coarse.mesh.size
+
+    def coarse(curve, place, several):
+        return place.on(np.interp(np.linspace(0, 1, 25), np.linspace(0, 1, place.mesh.size), place.mesh))
+
+    monkeypatch.setattr("orbitfinder.families.start.fitted", coarse)
+    monkeypatch.setattr("orbitfinder.families.start.settled", lambda curve, solution, whole: solution)
+    problem = of.Problem(of.systems.van_der_pol(), of.Guess([2.0, 0.0], 6.66))
+    settings = of.FamilySettings("damping", directions="forward", points=1, events=False)
+    start = begin(problem, settings)
+    assert start.solution.place.mesh.size == 25
+    point = of.follow_family(start, settings=settings).points[0]
+    assert point.closure <= CLOSURE * point.scale and point.mesh.size > 25
 
 
 def test_a_family_of_one_orbit_does_not_shrink():
     """Whatever stops a family at its first orbit, it was not seen to become smaller; and that is a failure."""
-    branch = first_cycle(normal_form(1e-6, 1.0), [1.0, 1.0])
-    point = first_point(branch.start, SETTINGS, None)
-    run, step = step_at(Run(branch.start.curve, SETTINGS, 1, point), [], None)
-    assert end_of_failure(run, step, "stopped").kind == "step underflow"
-    cases = [("step underflow", 1, "stopped"), ("step underflow", 4, ""), ("target", 1, "")]
-    for kind, count, why in cases:
-        assert stuck(SimpleNamespace(points=(point,) * count, ends=(End(kind, "stopped"),))) == why
+    branch, model = first_cycle(normal_form(1e-6, 1.0), [1.0, 1.0]), normal_form(1e-6, 1.0)
+    refused = replace(SETTINGS, sharpest_turn=1e-9, shortest_step=SETTINGS.first_step)
+    family = of.follow_family(branch, settings=refused, model=model)
+    assert len(family.points) == 1 and family.ends[-1].kind == "step underflow"
+    assert stuck(family) == family.ends[-1].reason
+    for kind, count, failed in (("step underflow", 1, True), ("step underflow", 4, False), ("target", 1, False)):
+        other = SimpleNamespace(points=family.points * count, ends=(End(kind, "stopped"),))
+        assert stuck(other) == ("stopped" if failed else "")
 
 
 def test_a_branch_is_measured_where_it_is(tmp_path):

@@ -10,14 +10,11 @@ import numpy as np
 import pytest
 
 import orbitfinder as of
-from orbitfinder.families.follow import PREDICTION
-from orbitfinder.families.run import accepted
 from orbitfinder.families.start import begin
 from orbitfinder.integrate.compiled import available, compiling
 from orbitfinder.loops import block
-from orbitfinder.loops.block import Blocks, Pacing
+from orbitfinder.loops.block import Blocks
 from orbitfinder.loops.conditions import clock
-from orbitfinder.loops.continued import advanced, correct, distance, plane, tangent
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.mesh import MESH, STEP_ERROR
 from orbitfinder.loops.symmetry import NONE
@@ -30,8 +27,6 @@ PROBLEMS = {
     "triple": ("problems/report/triple-2.toml", "energy"),
     "a length held in energy": ("problems/report/triple-1.toml", "length1"),
 }
-PACING = Pacing(longest=0.1, sharpest=of.FamilySettings.sharpest_turn, stretch=of.FamilySettings.longest_stretch,
-                prediction=PREDICTION)  # fmt: skip
 
 
 @pytest.fixture(params=list(PROBLEMS))
@@ -48,7 +43,7 @@ class Counted(Blocks):
 
     def _made(self, curve, start, length, count):
         ahead = super()._made(curve, start, length, count)
-        self.made.append((curve, start, tuple(ahead)))
+        self.made.append((curve, self._pacing, tuple(ahead)))
         return ahead
 
 
@@ -65,24 +60,48 @@ def followed(orbit, parameter, monkeypatch, points: int = 12, **how) -> tuple[li
 
 
 def test_points_are_those_of_newton(family, monkeypatch):
-    """Every w of a block to 1e-12 of what errors grow by, and its tangents, by the corrector in NumPy."""
-    points, made = followed(*family, monkeypatch)
-    grown = max(point.scale for point in points)
+    """Each is what NumPy's corrector makes of the step: orbit, tangent, action and how long the step is, to 1e-12 of
+    what errors grow by, as long as both have one mesh; and at the values of all others it finds the same orbits."""
+    orbit, parameter = family
+    settings = of.FamilySettings(parameter, points=12, directions="forward", certify=False, events=False)
+    start = begin(orbit, settings)
+    points, made = followed(start, parameter, monkeypatch)
     assert any(ahead for *_, ahead in made)
-    for curve, (w, whole, bend), ahead in made:
+    with compiling("off"):
+        single = of.follow_family(start, settings=replace(settings, longest_step=0.1)).points
+        known = of.follow_family(start, at=[point.value for point in points[1:]], settings=settings).points
+    grown = max(point.scale for point in points)
+    alike = [one.mesh.shape == two.mesh.shape and np.allclose(one.mesh, two.mesh, rtol=0, atol=1e-5)
+             for one, two in zip(points, single, strict=True)]  # fmt: skip
+    count = [*alike, False].index(False)
+    count = next((k + 1 for k in range(1, count) if np.any(points[k].mesh != single[k].mesh)), count)
+    assert count > 1
+    for point, other in zip(points[:count], single, strict=False):
+        sizes = np.abs(point.shooting_nodes).max(axis=0)
+        assert np.abs((point.shooting_nodes - other.shooting_nodes) / sizes).max() <= 1e-12 * grown
+        assert abs(point.period / other.period - 1) <= 1e-12 * grown
+        assert np.abs(point.tangent - other.tangent).max() <= 1e-8 * grown * np.abs(point.tangent).max()
+        assert point.action == pytest.approx(other.action, rel=1e-13 * grown)
+        assert point.step == pytest.approx(other.step, rel=1e-6) and point.arclength == pytest.approx(other.arclength)
+    exact = {point.value: point for point in known}
+    for point in points[1:]:
+        other = exact[min(exact, key=lambda value, point=point: abs(value - point.value))]
+        for name in ("value", "period", "action"):
+            one, two = getattr(point, name), getattr(other, name)
+            assert (np.isnan(one) and np.isnan(two)) or abs(one - two) <= 1e-12 * grown * max(abs(two), 1e-3), name
+        (rate, slope), (again, there) = ((each.tangent[point.state.size], each.tangent) for each in (point, other))
+        if parameter in point.free:  # dT/dp, whatever the phase is
+            assert rate / slope[-1] == pytest.approx(again / there[-1], rel=1e-8 * grown)
+
+
+def test_steps_and_meshes_of_a_block_are_what_their_rules_say(family, monkeypatch):
+    """The next length by the pace, and the mesh of an orbit by what its steps are off; where it is stale, or far too
+    fine, the driver sees to it first."""
+    _, made = followed(*family, monkeypatch)
+    for curve, pacing, ahead in made:
         for point in ahead:
-            length = point.length
-            aim, guess = plane(curve, w, whole, length), advanced(w, whole, length, bend)
-            solution = correct(curve, guess, aim, w, reach=0.5 * length + 1e-9)
-            columns = curve.scales.columns(w)
-            gap = (solution.place.vector - point.solution.place.vector) / columns
-            assert np.abs(gap).max() <= 1e-12 * grown
-            along = tangent(curve, solution, whole)
-            assert np.abs((along - point.whole) / columns).max() <= 1e-8 * grown
-            missed = distance(curve, guess, point.solution.place)
-            turn = np.arccos(np.clip(np.sum(curve.scales.metric(w) * whole * point.whole), -1.0, 1.0))
-            stretch = abs(point.solution.place.period / w.period - 1.0)
-            assert point.next == pytest.approx(PACING.next(length, turn, stretch, missed), rel=1e-6)
+            wanted = pacing.next(point.length, point.turn, point.stretch, point.missed)
+            assert point.next == pytest.approx(wanted, rel=1e-6)
             there, march = point.solution.place, curve.equations.march
             steps = np.arange(there.mesh.size - 1)
             errors = march.step_errors(point.solution.march.states, there.mesh, there.tail, curve.units, steps)
@@ -90,15 +109,8 @@ def test_points_are_those_of_newton(family, monkeypatch):
             needed = MESH.spare * ((some / STEP_ERROR) ** 0.125).sum() / some.size
             if point.fits:
                 assert stale < 1 + 1e-6 and needed > 1 - 1e-6
-            else:  # the driver sees to its mesh first
+            else:
                 assert point is ahead[-1] and (stale > 1 - 1e-6 or needed < 1 + 1e-6)
-            stands = point.accepted
-            here = accepted(curve, w, point.solution, point.whole)
-            assert stands.curve.scales.columns(w) == pytest.approx(here.curve.scales.columns(w), rel=1e-13)
-            assert np.abs((stands.whole - here.whole) / columns).max() <= 1e-11 * grown
-            assert np.abs((stands.bend - here.bend) / columns).max() <= 1e-8 * grown
-            assert stands.solution.march.integral == pytest.approx(here.solution.march.integral, rel=1e-13)
-            curve, w, whole, bend = stands.curve, stands.solution.place, stands.whole, stands.bend
 
 
 def test_sharp_turns_and_long_stretches_are_the_drivers(monkeypatch):

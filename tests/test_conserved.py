@@ -8,12 +8,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import verified
 from scipy.optimize import brentq
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.rest_certificate import verified
 from orbitfinder.families.verified import verified as verified_family
 from orbitfinder.mechanics.kind import build_model
 

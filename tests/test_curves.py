@@ -8,13 +8,14 @@ import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from maps import bouncing, diagonal, planted, symplectic, wound_back
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.families.critical import discriminant, doubled, levelled, torus_pair
 from orbitfinder.families.curves import curve_start
 from orbitfinder.families.doubling import bending
+from orbitfinder.integrate.compiled import compiling
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.records.family import Event, load_family, save_family
 from orbitfinder.show.plot import save_figures, two_parameters
@@ -443,32 +444,77 @@ def run(arguments):
 
 
 def test_the_row_of_the_test_is_its_derivative(duffing):
-    """Along any direction that keeps the other equations, by differences of another step."""
-    start = curve_start(duffing, event_of(duffing, "fold"), ("force", "frequency")).start
-    curve, found = start.curve, start.solution
-    kernel = np.linalg.svd(found.jacobian[:-1])[2][-2:]
-    for weights in ((1.0, 0.0), (0.3, -0.8)):
-        along = np.array(weights) @ kernel
-        ends = []
-        for step in (-2e-5, 2e-5):
-            w = found.place.moved(step * along)
-            ends.extend(curve.test(curve, [replace(found, place=w, march=curve.equations.varied(w, states=True))]))
-        assert (ends[1] - ends[0]) / 4e-5 == pytest.approx(found.jacobian[-1] @ along, rel=1e-5, abs=1e-7)
+    """A curve leads along the kernel of all rows, the test's among them: where its orbits go, by their differences."""
+    values = 0.305 + 1e-4 * np.array([-2, -1, 0, 1, 2])
+    curve = of.follow_curve(duffing, event_of(duffing, "fold"), ("force", "frequency"), at=values, until=0.31,
+                            settings=FEW)  # fmt: skip
+    points = [next(one for one in curve.points if abs(one.free["force"] - value) < 1e-12) for value in values]
+    along, weights = points[2].tangent, np.array([1, -8, 0, 8, -1]) / 12e-4
+    for numbers, rate in (([one.free["frequency"] for one in points], along[-1]),
+                          ([one.period for one in points], along[2])):  # fmt: skip
+        assert rate / along[-2] == pytest.approx(weights @ numbers, rel=1e-9)
 
 
-def test_numbers_that_vanish():
-    """Products over roots and their derivative; a pair by its product; two indices by their squared distance."""
-    roots = np.array([0.5 + 0j, 2.0, 0.3 + 0.4j, 0.3 - 0.4j])
-    assert levelled(roots, 0.5) == 0.0 and levelled(roots, 1.0) * levelled(roots, 3.0) < 0
-    slope = (levelled(roots, 0.7 + 1e-6) - levelled(roots, 0.7 - 1e-6)) / 2e-6
-    assert doubled(roots, 0.7) == pytest.approx(slope, rel=1e-8)
-    assert doubled(np.array([1.0, 1.0, 3.0 + 0j]), 1.0) == 0.0
-    product, total, rest = torus_pair(np.array([0.6 + 0.8j, 0.1, 0.6 - 0.8j]))
-    assert (product, total, *rest) == pytest.approx((1.0, 1.2, 0.1))
-    assert torus_pair(np.array([0.5, 2.0 + 0j, 9.0]))[1] == pytest.approx(2.5)  # a neutral saddle
-    assert discriminant(np.array([1.0 + 0.1j, 1.0 - 0.1j, 9.0])) == pytest.approx(-0.04)
-    assert discriminant(np.array([1.1, 1.0, 9.0 + 0j])) == pytest.approx(0.01)
-    with pytest.raises(ConvergenceError, match="no two multipliers are left"):
-        torus_pair(np.array([1.0 + 0j]))
-    with pytest.raises(ConvergenceError, match="no two stability indices"):
-        discriminant(np.array([1.0 + 0j]))
+# ---- planted maps ----------------------------------------------------------------------------------------------
+
+
+def curve_of(problem, kind, until):
+    """The curve of the first event of a kind of a planted map M(s, r), to a value of r."""
+    family = planted(problem, 1.0)
+    settings = replace(FEW, directions="backward" if until < 0 else "forward", points=30)
+    with compiling("off"):
+        return of.follow_curve(family, event_of(family, kind), ("r", "s"), until=until, settings=settings,
+                               model=problem.model)  # fmt: skip
+
+
+def test_a_curve_of_doublings_where_another_multiplier_is_minus_one_too():
+    """-0.7 - s and r, whatever 0.2 does: the product over roots vanishes, and twice where two roots are there."""
+    curve = curve_of(wound_back(lambda s, r: diagonal(-0.7 - s, r, 0.2), 3, r=-0.5), "period_doubling", -1.5)
+    at = curve.places[: len(curve.points)]
+    assert np.abs(at[:, 1] - 1.3).max() < 1e-9 and [end.kind for end in curve.ends] == ["target"]
+    (event,) = curve.events
+    assert (event.kind, event.detail) == ("strong_resonance", "1:2")
+    assert event.free == pytest.approx({"r": -1.0, "s": 1.3}, abs=1e-9)
+
+
+def test_a_curve_of_tori_beside_a_multiplier_of_minus_one():
+    """(0.6 -+ 0.8 i) (s + r / 10 + 0.5) and r: the pair is told by its product, whatever is beside it, a pair of
+    product 1/4 too."""
+
+    def family(s, r):
+        other = ca.DM([[0.3, -0.4], [0.4, 0.3]])
+        return ca.diagcat((0.5 + s + r / 10) * ca.DM([[0.6, -0.8], [0.8, 0.6]]), r, other)
+
+    curve = curve_of(wound_back(family, 5, r=-0.5), "torus", -1.5)
+    at = curve.places[: len(curve.points)]
+    assert np.abs(at[:, 1] + at[:, 0] / 10 - 1.5).max() < 1e-9 and [end.kind for end in curve.ends] == ["target"]
+    (event,) = curve.events
+    assert event.kind == "doubling_torus" and event.free == pytest.approx({"r": -1.0, "s": 1.6}, abs=1e-9)
+
+
+def test_a_curve_of_collisions_in_closed_form():
+    """2 eig [[0.35 - s, -c], [c, 0.25]] are one where 0.1 - s = 2 c, c = (1 + r) / 50."""
+
+    def family(s, r):
+        c = (1 + r) / 50
+        return symplectic(ca.blockcat([[0.35 - s, -c], [c, 0.25]]))
+
+    curve = curve_of(bouncing(family, 2, r=0.5), "collision", 0.9)
+    at = curve.places[: len(curve.points)]
+    assert np.abs(at[:, 1] - (1.06 - 0.04 * at[:, 0])).max() < 1e-9 and [end.kind for end in curve.ends] == ["target"]
+
+
+@pytest.mark.parametrize(
+    ("system", "family", "kind", "said"),
+    [
+        (wound_back, lambda s, r: diagonal(0.5 + s), "torus", "no two multipliers are left"),
+        (bouncing, lambda s, r: ca.DM([[0.5, 1.0], [-0.75, 0.5]]), "collision", "no two stability indices"),
+    ],
+)
+def test_what_one_root_cannot_do_has_no_curve(system, family, kind, said):
+    """A forged event."""
+    problem = system(family, 1, r=1.0)
+    found = planted(problem, 0.1)
+    event = replace(event_like(found.points[0]), kind=kind)
+    with pytest.raises(ConvergenceError, match=said):
+        of.follow_curve(replace(found, events=(event,)), 0, ("r", "s"), settings=FEW, model=problem.model)

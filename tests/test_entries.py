@@ -12,8 +12,8 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.exports.formats import FORMATS, Format
 from orbitfinder.families import entries
-from orbitfinder.families.passages import Test as Vanishing
 from orbitfinder.families.registry import EventKind, Look
+from orbitfinder.families.registry import Test as Vanishing
 from orbitfinder.loops import conditions
 from orbitfinder.loops.conditions import Quantity
 from orbitfinder.loops.shooting import flow_of

@@ -8,11 +8,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import verified
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.families.rest_certificate import verified
 from orbitfinder.families.rest_problem import Stacked, regular, singular
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.show.equilibria import stretched

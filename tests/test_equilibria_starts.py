@@ -7,11 +7,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import verified
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.families.rest_certificate import verified
 
 
 def lorenz(rho):

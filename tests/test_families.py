@@ -7,29 +7,29 @@ import sys
 import textwrap
 import time
 from dataclasses import replace
-from itertools import accumulate, combinations
+from itertools import accumulate, combinations, pairwise
 from pathlib import Path
-from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
+from conftest import dop853
+from maps import bouncing, planted
 from scipy.special import ellipk
 
+import orbitfinder as of
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.families import events
-from orbitfinder.families.branches import switch
 from orbitfinder.families.folder import follow_family
-from orbitfinder.families.follow import follow
-from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
-from orbitfinder.families.run import Run, first_point
-from orbitfinder.families.stability import Spectrum, matching
-from orbitfinder.families.start import begin, curve_of
+from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.stability import matching
+from orbitfinder.families.start import begin
 from orbitfinder.families.verified import verified
+from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.loops import mesh as mesh_module
 from orbitfinder.loops.condensed import Linearised
-from orbitfinder.loops.continued import at_place, correct, plane, tangent
-from orbitfinder.loops.mesh import between, carried
 from orbitfinder.loops.problem import Problem
+from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.evidence import ClosureCheck, tour
@@ -128,41 +128,39 @@ def test_family_of_an_upright_equilibrium(tmp_path):
 
 @pytest.fixture(scope="module")
 def second_mode():
-    """The triple pendulum's second mode up to 12 J above hanging: curve, points and events."""
+    """The triple pendulum's second mode up to 12 J above hanging."""
     return walked(2, -32.5)
 
 
 def walked(mode, until):
-    settings = FamilySettings()
-    start = begin(mode_problem(chain(3), mode), settings)
-    check = ClosureCheck(start.curve.equations.model)
-    origin = first_point(start, settings, check)
-    batches = list(follow(Run(start.curve, settings, 1, origin, check, until)))
-    points = [origin, *(point for batch in batches for point in batch.points)]
-    return start.curve, points, [event for batch in batches for event in batch.events]
+    settings = FamilySettings(directions="forward", certify=False, resonances=4)
+    return follow_family(mode_problem(chain(3), mode), until=until, settings=settings)
 
 
-def branch_at(start, energy, points=80):
+def branches_at(family, event):
+    """Every branch that leaves there."""
+    branches = [of.switch_branch(family, event)]
+    while True:
+        try:
+            branches.append(of.switch_branch(family, event, len(branches) + 1))
+        except InputError:
+            return branches
+
+
+def branch_at(branch, energy, points=80):
     """Follow a branch away from where it was born; the point at an energy."""
-    settings = FamilySettings(events=False, points=points)
-    check = ClosureCheck(start.curve.equations.model)
-    origin = first_point(start, settings, check)
-    sign = 1 if np.sum(start.curve.weights * origin.tangent * start.direction) > 0 else -1
-    for batch in follow(Run(start.curve, settings, sign, origin, check, at=(energy,))):
-        for point in batch.points:
-            if point.role == "at":
-                return point
-    return None
+    settings = FamilySettings(events=False, points=points, directions="away")
+    family = follow_family(branch, until=energy, settings=settings)
+    return exact_point(family, energy)
 
 
 def test_triple_1_is_reached_by_switching(second_mode):
     """The report's first triple orbit lies on the branch that breaks the second mode's reflection."""
-    curve, _, events = second_mode
-    event = next(one for one in events if one.kind == "branch_point")
+    event = next(one for one in second_mode.events if one.kind == "branch_point")
     assert event.multiplier == -1.0  # of the half map: the reflection is lost
-    (start,) = switch(curve, event)
-    assert start.curve.equations.symmetry.name == "brake"
-    point = branch_at(start, REPORT["triple-1"]["energy"])
+    (branch,) = branches_at(second_mode, event)
+    point = branch_at(branch, REPORT["triple-1"]["energy"])
+    assert point.symmetry == "brake"
     assert abs(point.period - 1.65533898831464) < 1e-11
     wanted = complex_of(REPORT["triple-1"]["floquet_multipliers"])
     assert multiplier_error(point.floquet_multipliers, wanted) < 1e-9
@@ -170,11 +168,10 @@ def test_triple_1_is_reached_by_switching(second_mode):
 
 def test_branch_ends_where_it_was_born(second_mode, tmp_path):
     """Followed backwards, the branch of triple 1 says that it joins the second mode, and where."""
-    curve, _, events = second_mode
-    event = next(one for one in events if one.kind == "branch_point")
-    (start,) = switch(curve, event)
+    event = next(one for one in second_mode.events if one.kind == "branch_point")
+    (branch,) = branches_at(second_mode, event)
     settings = FamilySettings(directions="forward")
-    family = follow_family(start, points=8, out=tmp_path, name="branch", settings=settings)
+    family = follow_family(branch, points=8, out=tmp_path, name="branch", settings=settings)
     assert family.ends[0].kind == "merged"
     assert not [one for one in family.events if one.kind == "fold"]
     assert abs(family.ends[0].parameter - event.parameter) < 1e-9 * abs(event.parameter)
@@ -183,20 +180,21 @@ def test_branch_ends_where_it_was_born(second_mode, tmp_path):
 
 def test_triple_2_is_reached_by_switching():
     """The report's second triple orbit lies on a period-quadrupled branch of the third mode."""
-    curve, _, events = walked(3, -43.0)
-    event = next(one for one in events if one.kind == "resonance" and one.order == 4)
-    starts = switch(curve, event)
-    assert {start.curve.equations.symmetry.name for start in starts} == {"brake", "reversal"}
-    start = next(one for one in starts if one.curve.equations.symmetry.name == "reversal")
-    point = branch_at(start, REPORT["triple-2"]["energy"])
+    family = walked(3, -43.0)
+    event = next(one for one in family.events if one.kind == "resonance" and one.order == 4)
+    branches = branches_at(family, event)
+    near = FamilySettings(events=False, points=1, directions="away")
+    found = {follow_family(branch, settings=near).points[0].symmetry: branch for branch in branches}
+    assert set(found) == {"brake", "reversal"} and len(branches) == 2
+    point = branch_at(found["reversal"], REPORT["triple-2"]["energy"])
     assert abs(point.period - 2.92523733309107) < 1e-11
 
 
 def test_events_are_located(second_mode):
     """At a branch point a multiplier of the whole period is +1: by CVODES over a full period."""
-    curve, _, events = second_mode
-    model = curve.equations.model
-    flow, chosen = build_flow(model), [one for one in events if one.kind in ("branch_point", "period_doubling")]
+    model = chain(3)
+    flow = build_flow(model)
+    chosen = [one for one in second_mode.events if one.kind in ("branch_point", "period_doubling")]
     assert len(chosen) >= 3
     for event in chosen:
         mu = multipliers(model, flow, event.state[None], event.period).multipliers
@@ -214,9 +212,9 @@ def test_symmetric_and_full_formulations_agree(tmp_path):
     problem = mode_problem(chain(3), 3, 0.05)
     found = []
     for symmetry in ("brake+reflection", "reflection", "brake", "none"):
-        start = begin(problem, settings, symmetry=symmetry)
-        folder = tmp_path / symmetry
-        found.append(follow_family(start, at=wanted, out=folder, name="mode", settings=settings))
+        origin, folder = begin(problem, settings, symmetry=symmetry), tmp_path / symmetry
+        found.append(follow_family(origin, at=wanted, out=folder, name="mode", settings=settings))
+        assert found[-1].points[0].symmetry == symmetry
     for energy in wanted:
         quarter, *others = (exact_point(family, energy) for family in found)
         for other in others:
@@ -267,14 +265,10 @@ def test_family_file_round_trip(tmp_path):
 SCRIPT = """
 import sys
 sys.path.insert(0, {root!r})
-from orbitfinder.families.folder import follow_family
+import orbitfinder as of
 from orbitfinder.orbits.guesses.modes import mode_problem
-from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
-from orbitfinder.integrate.cvodes import build_flow
-from orbitfinder.mechanics.kind import build_model
-from orbitfinder.mechanisms.chain import chain
-settings = FamilySettings(directions="forward", longest_step={step})
-follow_family(mode_problem(chain(2), 1), points={points}, out={out!r}, settings=settings)
+settings = of.FamilySettings(directions="forward", longest_step={step})
+of.follow_family(mode_problem(of.chain(2), 1), points={points}, out={out!r}, settings=settings)
 """
 
 
@@ -333,7 +327,7 @@ def test_torn_line_is_dropped(tmp_path):
     assert len(kept.steps(1)) < 6
     again = follow_family(mode_problem(chain(1), 1), points=6, out=tmp_path, settings=settings)
     assert [p.period for p in again.points] == pytest.approx([p.period for p in first.points], abs=1e-10)
-    assert curve_of(kept.header["curve"], chain(1), settings).equations.symmetry.name == "brake+reflection"
+    assert kept.header["curve"]["symmetry"] == "brake+reflection" == again.points[-1].symmetry
 
 
 def told(family):
@@ -386,42 +380,55 @@ def test_events_near_a_parameter_of_zero_stay_where_a_family_goes_on(tmp_path):
 
 @pytest.fixture(scope="module")
 def wild():
-    """The double pendulum's slow mode where its largest multiplier is far above what one turn can close to."""
-    settings = FamilySettings(events=False)
-    start = begin(mode_problem(chain(2), 1, 0.5), settings, symmetry="brake+reflection")
-    check = ClosureCheck(start.curve.equations.model)
-    run = Run(start.curve, settings, 1, first_point(start, settings, check), check, until=19.55)
-    points = [point for batch in follow(run) for point in batch.points]
-    return run, points[-1]
+    """The double pendulum's slow mode to where its largest multiplier is far above what one turn can close to."""
+    settings = FamilySettings(events=False, directions="forward", certify=False)
+    problem = replace(mode_problem(chain(2), 1, 0.5), symmetry="brake+reflection")
+    return follow_family(problem, until=19.55, settings=settings)
+
+
+def followed_from(point):
+    """What is followed from an orbit of that family, each orbit with its closure."""
+    problem = Problem(chain(2), of.Guess(point.state, point.period), symmetry="brake+reflection")
+    with compiling("off"):  # nothing is doubted here for which the certificate would take long double
+        return follow_family(problem, settings=FamilySettings(events=False, directions="forward", points=1))
 
 
 def test_very_unstable_orbits_fit_piece_by_piece(wild):
     """Round the loop nothing is left, from node to node everything is."""
-    _, point = wild
+    found = next(point for point in wild.points if point.scale > 1e9)
+    point = followed_from(found).points[0]
+    assert point.period == pytest.approx(found.period, rel=1e-9) and wild.points[-1].scale > 1e9
     assert point.scale > 1e9 and point.closure > 1e-6
     assert 0 < point.defect < 1e-10 and len(point.shooting_nodes) > 1
 
 
-def test_broken_piece_is_refused(wild):
+def test_broken_piece_is_refused(wild, monkeypatch):
     """One node moved by 1e-6: the loop's tolerance would let it pass, the pieces do not."""
-    run, point = wild
-    place = unknowns_of(run.curve, point)
-    nodes = place.nodes.copy()
-    nodes[1, 0] += 1e-6
-    moved = at_place(run.curve, replace(place, nodes=nodes))
+    ends, moved = ClosureCheck.ends, []
+
+    def broken(check, nodes, *given):
+        nodes = nodes.copy()
+        nodes[1, 0] += 1e-6
+        moved.append(len(nodes))
+        return ends(check, nodes, *given)
+
+    monkeypatch.setattr(ClosureCheck, "ends", broken)
     with pytest.raises(ConvergenceError, match="the pieces of the orbit fit only to .* with growth"):
-        make_point(run.curve, moved, point.tangent, "energy", run.check, index=0, arclength=0.0, step=0.1)
+        followed_from(wild.points[-1])
+    assert moved
 
 
 def test_a_check_goes_round_from_the_nodes(wild):
     """From the start alone the multipliers of an unstable orbit have fewer digits; states of no motion are not used."""
-    run, point = wild
-    found, symmetry = at_place(run.curve, unknowns_of(run.curve, point)), run.curve.equations.symmetry
-    times, states = symmetry.whole(found.place.mesh, found.march.states, run.curve.constant)
+    point, symmetry, flow = wild.points[-1], SYMMETRIES["brake+reflection"], build_flow(chain(2))
+    steps = (point.mesh.size - 1) // len(point.shooting_nodes)
+    pieces = [dop853(flow, node, point.period * point.mesh[k * steps : (k + 1) * steps + 1])
+              for k, node in enumerate(point.shooting_nodes)]  # fmt: skip
+    quarter = np.vstack([*(piece[:-1] for piece in pieces), pieces[-1][-1:]])
+    times, states = symmetry.whole(point.mesh, quarter, np.zeros(4))
 
     def gone(beside):
-        place = found.place
-        return tour(chain(2), place.nodes[0], place.period, np.zeros(2), symmetry.forward, beside)
+        return tour(chain(2), point.state, point.period, np.zeros(2), symmetry.forward, beside)
 
     def index(tour):
         return judged(np.linalg.eigvals(tour.map())).indices[0].real
@@ -437,20 +444,34 @@ def test_a_check_goes_round_from_the_nodes(wild):
     assert index(gone((times, states + 1e-6))) == index(alone)
 
 
-def test_a_direction_is_carried_to_other_segments(wild):
+def test_a_direction_is_carried_to_other_segments(wild, monkeypatch):
     """Between two nodes it was interpolated, and a family turned back where its segments were made anew."""
-    run, point = wild
-    curve = run.curve
-    found = at_place(curve, unknowns_of(curve, point))
-    whole = tangent(curve, found, point.tangent)
-    mesh = found.place.mesh[-1] * np.linspace(0.0, 1.0, found.place.mesh.size) ** 1.5
-    nodes = between(curve, found, mesh[found.place.steps : -1 : found.place.steps])
-    place = replace(found.place, nodes=np.vstack([found.place.nodes[:1], nodes]), mesh=mesh)
-    other = correct(curve, place, plane(curve, place, carried(curve, found.place, whole, place)))
-    along, metric = carried(curve, found.place, whole, other.place), curve.scales.metric(other.place)
-    there = tangent(curve, other, along)
-    assert not np.array_equal(found.place.edges, place.edges)
-    assert (metric * along) @ there / np.sqrt(metric @ along**2) > 1 - 1e-6
+    point = wild.points[-1]
+    problem = Problem(chain(2), of.Guess(point.state, point.period), symmetry="brake+reflection")
+    settings = FamilySettings(events=False, certify=False, directions="forward", points=8, first_step=0.05)
+    with compiling("off"):
+        start = begin(problem, settings)
+    made = [np.nan]
+
+    def another(curve, solution):
+        """The same orbit on segments of other lengths than those of the last."""
+        place = solution.place
+        made.append(place.period)
+        mesh = place.mesh[-1] * np.linspace(0.0, 1.0, place.mesh.size) ** (1.0 + 0.5 * (len(made) % 2))
+        nodes = mesh_module.between(curve, solution, mesh[place.steps : -1 : place.steps])
+        return replace(place, nodes=np.vstack([place.nodes[:1], nodes]), mesh=mesh)
+
+    monkeypatch.setattr(mesh_module, "remeshed", another)
+    monkeypatch.setattr(mesh_module, "regraded", lambda curve, solution: solution.place.mesh)
+    monkeypatch.setattr(
+        mesh_module, "needs_mesh", lambda curve, solution, every=1: not abs(solution.place.period / made[-1] - 1) < 1e-9
+    )
+    with compiling("off"):
+        family = follow_family(start, settings=settings)
+    edges = [each.mesh[:: (each.mesh.size - 1) // len(each.shooting_nodes)] for each in family.points]
+    assert not any(np.array_equal(one, two) for one, two in pairwise(edges))
+    assert family.points[0].value == pytest.approx(19.55, abs=1e-6) and len(family.points) == 9
+    assert np.all(np.diff(family.values("energy")) > 0)
 
 
 @pytest.mark.parametrize("file", sorted(FAMILIES.glob("*/family.json")), ids=lambda file: file.parent.name)
@@ -463,22 +484,20 @@ def test_no_shipped_family_goes_over_itself(file):
     assert not again
 
 
-def test_no_bifurcations_out_of_round_off(monkeypatch):
-    """Where the largest multiplier blurs the stability indices none of their passages is looked for."""
+@pytest.mark.parametrize(("largest", "kinds"), [(1e12, []), (1e3, ["branch_point"])])
+def test_no_bifurcations_out_of_round_off(largest, kinds, caplog):
+    """Where the largest multiplier blurs the stability indices none of their passages is looked for: of two pairs the
+    index of one goes from 1.9 to 2.1."""
 
-    def sample(index, largest):
-        values = np.array([largest, 1 / largest])
-        about = Spectrum(judged(values), 1, values, values, (), np.diag(values), values, np.eye(2))
-        return SimpleNamespace(indices=np.array([index + 0j]), about=about)
+    def family(s):
+        a = 1.0 + s / 2
+        pair = ca.blockcat([[a, 1.0], [a * a - 1.0, a]])
+        return ca.diagcat(largest, pair[0, 0], 1 / largest, pair[1, 1]) + ca.diagcat(
+            0.0, ca.blockcat([[0.0, 0.0, pair[0, 1]], [0.0, 0.0, 0.0], [pair[1, 0], 0.0, 0.0]])
+        )
 
-    def looked(interval):
-        raise LookupError
-
-    monkeypatch.setattr(events, "strips", looked)
-    blurred, clear = (SimpleNamespace(first=sample(1.9, size), last=sample(2.1, size)) for size in (1e12, 1e3))
-    assert events.bifurcations(blurred, 6) == []
-    with pytest.raises(LookupError):
-        events.bifurcations(clear, 6)
+    found = planted(bouncing(family, 2, -0.1), 0.2, resonances=2)
+    assert [one.kind for one in found.events] == kinds and not caplog.records and len(found.points) == 2
 
 
 @pytest.mark.slow
@@ -505,12 +524,22 @@ def test_family_figures(tmp_path):
 
 def test_variations_that_overflow_are_a_shorter_step_and_no_traceback(monkeypatch):
     """A corrector whose Jacobian is not finite says so, and a nearer point is tried (seen on a five-bar)."""
-    from orbitfinder.loops import continued as system
+    settings = FamilySettings(events=False, certify=False, directions="forward", points=3)
+    problem, whole, left = mode_problem(chain(2), 1, 0.5), Linearised.matrix, []
 
-    start = begin(mode_problem(chain(2), 1, 0.5), FamilySettings(), symmetry="brake+reflection")
-    place, head = start.solution.place, np.ones(start.solution.place.head.size)
-    assert system.correct(start.curve, place, system.hyperplane(float(head @ place.head), head)).residual < 1e-8
-    whole = Linearised.matrix
-    monkeypatch.setattr(Linearised, "matrix", lambda given: np.full_like(whole(given), np.nan))
-    with pytest.raises(ConvergenceError, match="variations of the corrector's orbit overflow"):
-        system.correct(start.curve, place, system.hyperplane(float(head @ place.head), head))
+    def overflowing(given):
+        matrix = whole(given)
+        return np.full_like(matrix, np.nan) if left and left.pop() else matrix
+
+    monkeypatch.setattr(Linearised, "matrix", overflowing)
+
+    def followed(times):
+        """The family whose Jacobians overflow so often once it has a point."""
+        left.clear()
+        return follow_family(problem, settings=settings, progress=lambda batch: left.extend([True] * times))
+
+    with compiling("off"):
+        steps = [np.diff(followed(times).values("arclength")) for times in (0, 2)]
+        stopped = followed(1000)
+    assert np.all(steps[0] > 0) and len(steps[1]) == len(steps[0]) and steps[1][1] < steps[0][1]
+    assert "variations of the corrector's orbit overflow" in stopped.ends[-1].reason

@@ -5,7 +5,6 @@ import logging
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,12 +15,11 @@ from test_certificate_holes import flat
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families import passages
-from orbitfinder.families.checks import SURE, Sides
 from orbitfinder.families.entries import KINDS
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.registry import EventKind
+from orbitfinder.families.registry import Test as Vanishing
 from orbitfinder.families.start import curve_of
 from orbitfinder.families.verified import reading
 from orbitfinder.loops.problem import Guess, Problem
@@ -185,7 +183,7 @@ def test_a_kind_of_ones_own(monkeypatch):
     settings = replace(FEW, directions="forward")
     plain = follow_family(start, until=0.08, settings=settings)
     middle = float(np.mean(plain.values("period")[[0, -1]]))
-    passed = passages.Test("on_time", "", lambda sample: sample.solution.place.period - middle)
+    passed = Vanishing("on_time", "", lambda sample: sample.solution.place.period - middle)
     own = EventKind(
         lambda sides, event: sides.zero(lambda look: look.value("period") - middle), test=lambda _: [passed]
     )
@@ -299,11 +297,3 @@ def test_doublings_of_one_mass_beside_a_sharper_corner():
     for one, reference in zip(doublings, [0.8016201287834238, 0.9226871651515308], strict=True):
         assert inside(one, reference)
     assert not family.unknown and [one.kind for one in family.events].count("stability_change") == 2
-
-
-@pytest.mark.parametrize(("off", "turns"), [(1e-15, False), (-2e-14, True), (2e-14, True)])
-def test_round_off_is_no_turn(off, turns):
-    """A canard's parameter beside its fold differed by 4 and 14 round-offs with the wrong sign."""
-    middle = 1.4258214774962878
-    sides = SimpleNamespace(values=lambda _: (middle + 1.3 * off, middle, middle + 1.9 * off))
-    assert Sides.turns(sides, "I", SURE) is turns

@@ -1,82 +1,44 @@
 """Events of families that dissipate: multipliers through the unit circle, planted, in closed form, and real."""
 
-from dataclasses import dataclass
-from types import SimpleNamespace
-
 import casadi as ca
 import numpy as np
 import pytest
+from maps import diagonal, planted, wound_back
 from scipy.integrate import solve_ivp
-from scipy.linalg import block_diag
 
 import orbitfinder as of
-from orbitfinder.families.events import bifurcations
-from orbitfinder.families.folder import follow_family
-from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.run import Interval, Sample
-from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.orbits.find import find_orbit
-from orbitfinder.orbits.floquet import analyse
 
-NONE = np.zeros(0)
-FORWARD = FamilySettings(directions="forward")
+FORWARD = of.FamilySettings(directions="forward")
 
 
-@dataclass(frozen=True)
-class Planted(Interval):
-    """An interval of a family of maps M(s)."""
-
-    family: object = None
-
-    def computed(self, distance):
-        return read(self.family, distance, self.first.about.root)
-
-    def crossed(self, sample):
-        """Maps have no equations that another family could cross."""
-        return False
-
-    strayed = crossed
-
-
-def read(family, s, root):
-    """What is read at one map."""
-    matrix = family(s)
-    values, floquet = np.linalg.eigvals(matrix).astype(complex), analyse(matrix, False)
-    ranked = values[np.argsort(-np.abs(values), kind="stable")]
-    about = SimpleNamespace(
-        root=root, reduced=matrix, multipliers=values, ranked=ranked, growths=np.log(np.abs(ranked)), floquet=floquet,
-        conservative=False, blur=0.0,
-    )  # fmt: skip
-    return Sample(s, None, None, about, NONE, NONE, {})
-
-
-def named(family, length=1.0, root=1):
-    """(kind, place) of everything found on one step, in order."""
-    first, last = read(family, 0.0, root), read(family, length, root)
-    found = bifurcations(Planted(None, first, last, NONE, NONE, family=family), 6)
-    return sorted(((t.kind, p.distance) for p, t in found), key=lambda one: one[1])
+def named(family, size, length=1.0):
+    """(kind, place) of everything found on one step, in order; every event is checked, and none is left undecided."""
+    found = planted(wound_back(family, size), length)
+    assert not found.unknown and len(found.points) == 2
+    assert all(event.check.passed for event in found.events)
+    return [(event.kind, event.parameter - 1.0) for event in found.events if event.kind != "stability_change"]
 
 
 def pair(radius, angle):
     """A map that turns and stretches: multipliers radius exp(+-i angle)."""
     c, s = np.cos(angle), np.sin(angle)
-    return radius * np.array([[c, -s], [s, c]])
+    return radius * ca.DM([[c, -s], [s, c]])
 
 
 PLANTED = {
-    "doubling": (lambda s: np.diag([-0.7 - s, 0.2]), [("period_doubling", 0.3)]),
-    "branch point": (lambda s: np.diag([0.1, 0.8 + s]), [("branch_point", 0.2)]),
-    "torus": (lambda s: pair(0.5 + s, 1.0), [("torus", 0.5)]),
-    "neutral saddle": (lambda s: np.diag([0.5, 1.5 + s]), []),
+    "doubling": (2, lambda s: diagonal(-0.7 - s, 0.2), [("period_doubling", 0.3)]),
+    "branch point": (2, lambda s: diagonal(0.1, 0.8 + s), [("branch_point", 0.2)]),
+    "torus": (2, lambda s: pair(0.5 + s, 1.0), [("torus", 0.5)]),
+    "neutral saddle": (2, lambda s: diagonal(0.5, 1.5 + s), []),
     "doubling beside a torus": (
-        lambda s: block_diag([[-0.9 - 0.5 * s]], pair(0.4 + s, 2.0)), [("period_doubling", 0.2), ("torus", 0.6)]
+        3, lambda s: ca.diagcat(-0.9 - 0.5 * s, pair(0.4 + s, 2.0)), [("period_doubling", 0.2), ("torus", 0.6)]
     ),
     "one out and another in": (
-        lambda s: np.diag([-0.6 - s, 1.7 - s]), [("period_doubling", 0.4), ("branch_point", 0.7)]
+        2, lambda s: diagonal(-0.6 - s, 1.7 - s), [("period_doubling", 0.4), ("branch_point", 0.7)]
     ),
     "out and back": (
-        lambda s: np.diag([-1.01 + 0.25 * (s - 0.5) ** 2, 0.1]), [("period_doubling", 0.3), ("period_doubling", 0.7)]
+        2, lambda s: diagonal(-1.01 + 0.25 * (s - 0.5) ** 2, 0.1), [("period_doubling", 0.3), ("period_doubling", 0.7)]
     ),
 }  # fmt: skip
 
@@ -84,8 +46,8 @@ PLANTED = {
 @pytest.mark.parametrize("name", PLANTED)
 def test_planted_passages(name):
     """Every passage by its kind and place; a neutral saddle is none."""
-    family, wanted = PLANTED[name]
-    found = named(family)
+    size, family, wanted = PLANTED[name]
+    found = named(family, size)
     assert [kind for kind, _ in found] == [kind for kind, _ in wanted]
     assert [place for _, place in found] == pytest.approx([place for _, place in wanted], abs=1e-9)
 
@@ -105,24 +67,36 @@ def by_brute_force(family, count=4001):
 
 @pytest.mark.parametrize("seed", range(12))
 def test_random_families_against_brute_force(seed):
-    """Random curves of maps, four multipliers each, walked in eight steps."""
+    """Random curves of maps, four multipliers each, walked in at most eight steps."""
     rng = np.random.default_rng(seed)
     a, b, c = (rng.normal(0, 0.7, (4, 4)) for _ in range(3))
 
     def family(s):
         return a + s * b + s * s * c
 
-    found = []
-    for low in np.arange(8) / 8:
-        found += [(kind, low + place) for kind, place in named(lambda s, low=low: family(low + s), 0.125)]
+    walked = planted(wound_back(family, 4), 1.0, step=0.125)
+    assert not walked.unknown and len(walked.points) <= 9
+    found = [(event.kind, event.parameter - 1.0) for event in walked.events if event.kind != "stability_change"]
     wanted = by_brute_force(family)
     assert [kind for kind, _ in found] == [kind for kind, _ in wanted]
     assert [place for _, place in found] == pytest.approx([place for _, place in wanted], abs=1e-3)
 
 
 def test_half_map_loses_its_reflection():
-    """-1 of a half map is a branch point: its square is +1."""
-    assert named(PLANTED["doubling"][0], root=2) == [("branch_point", pytest.approx(0.3, abs=1e-9))]
+    """-1 of a half map is a branch point: its square is +1. About a circle u decays to 0.7 + s of itself in half a
+    turn, and changes its sign in the reflection."""
+
+    def field(_, x, p):
+        out = 1 - x.x**2 - x.y**2
+        return [out * x.x - x.y, x.x + out * x.y, ca.log(p.s - 0.3) / np.pi * x.u]
+
+    model = of.ode(field, ("x", "y", "u"), {"s": 1.0})
+    problem = of.Problem(model, of.Guess([1.0, 0.0, 0.0], 2 * np.pi), symmetry="reflection", name="mirrored")
+    found = planted(problem, 1.0)
+    assert {point.symmetry for point in found.points} == {"reflection"}
+    (event, change) = found.events
+    assert (event.kind, event.multiplier) == ("branch_point", -1.0) and change.kind == "stability_change"
+    assert event.check.passed and event.parameter - 1.0 == pytest.approx(0.3, abs=1e-9)
 
 
 def embedded(f, q, parameter, name, value, rate=1.0):
@@ -134,8 +108,8 @@ def embedded(f, q, parameter, name, value, rate=1.0):
 
 def followed(model, name, until, guess, period, tmp_path):
     """The family through the orbit of a guess, its first event of each kind."""
-    orbit = find_orbit(Problem(model, Guess(guess, period), name="start"))
-    return follow_family(orbit, name, until=until, out=tmp_path, settings=FORWARD, model=model)
+    orbit = of.find_orbit(of.Problem(model, of.Guess(guess, period), name="start"))
+    return of.follow_family(orbit, name, until=until, out=tmp_path, settings=FORWARD, model=model)
 
 
 def test_torus_in_closed_form(tmp_path):
@@ -176,8 +150,8 @@ def test_the_symmetry_breaking_of_lorenzs_cycle(tmp_path):
     """In a formulation without the symmetry, so that the rows are singular there; rho by SciPy, from half a period."""
     model = of.ode(lambda t, x, p: [10 * (x[1] - x[0]), x[0] * (p[0] - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]],
                    ["x", "y", "z"], {"rho": 320.0})  # fmt: skip
-    problem = Problem(model, Guess([-47.1114, -18.5885, 328.3983], 0.4066))
-    family = follow_family(problem, "rho", until=300.0, out=tmp_path, name="lorenz")
+    problem = of.Problem(model, of.Guess([-47.1114, -18.5885, 328.3983], 0.4066))
+    family = of.follow_family(problem, "rho", until=300.0, out=tmp_path, name="lorenz")
     assert [event.kind for event in family.events] == ["branch_point", "stability_change"]
     assert (family.points[0].stability, family.points[-1].stability) == ("unstable", "asymptotically stable")
     assert abs(family.events[0].parameter - 312.9735329841723) <= family.events[0].error < 1e-7

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,18 +12,15 @@ import pytest
 from conftest import pendulum_period
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
-from orbitfinder.families.follow import follow
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.start import begin, fitted
 from orbitfinder.integrate.compiled import available, compiling
 from orbitfinder.integrate.cvodes import build_flow, transition
 from orbitfinder.integrate.march import March, uniform
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
-from orbitfinder.loops import condensed, continued
 from orbitfinder.loops.condensed import SMALL, Linearised
 from orbitfinder.loops.conditions import pin
-from orbitfinder.loops.continued import kernel, scaled
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.model import energies, vector_field
@@ -438,27 +436,47 @@ def test_problem_file_of_a_long_chain(links, tmp_path):
         assert CliRunner().invoke(cli, ["verify", str(file)]).exit_code == 0
 
 
-def test_the_direction_of_a_large_family_is_the_kernel_of_its_rows(monkeypatch):
-    """By inverse iteration as by singular values, which it leaves rows to that depend on each other."""
-    monkeypatch.setattr(continued, "SMALL", 0)
+def set_small(monkeypatch, small):
+    """What is small as said, wherever it is asked for."""
+    for name, module in list(sys.modules.items()):
+        if name.startswith("orbitfinder.loops.") and getattr(module, "SMALL", None) == SMALL:
+            monkeypatch.setattr(module, "SMALL", small)
+
+
+@pytest.fixture
+def decomposed(monkeypatch):
+    """Shapes of the matrices that are decomposed by singular values."""
+    svd, shapes = np.linalg.svd, []
+    monkeypatch.setattr(np.linalg, "svd", lambda matrix, **how: shapes.append(np.shape(matrix)) or svd(matrix, **how))
+    return shapes
+
+
+def direction():
+    """That of the family of ten links' first mode at its first orbit."""
     with compiling("off"):
-        start = begin(mode_problem(10, 0.3), symmetry="brake+reflection")
-        curve, rows = start.curve, start.solution.jacobian
-        known = replace(start.solution, jacobian=rows.matrix())
-        singular, decomposed = kernel(curve, known), []
-        svd = np.linalg.svd
-        monkeypatch.setattr(np.linalg, "svd", lambda *given, **how: decomposed.append(1) or svd(*given, **how))
-        whole = kernel(curve, start.solution)
-        assert not decomposed
-        np.testing.assert_allclose(whole * np.sign(whole @ singular), singular, atol=1e-9 * np.abs(singular).max())
-        twice = {name: np.array(getattr(rows, name)) for name in ("first", "last", "tail")}
-        for nearly in (0.0, 1e-12):  # so that they have no factors, and so that these are worth nothing
-            for name, part in twice.items():
-                part[1] = (1 + nearly) * part[0] + nearly * getattr(rows, name)[1]
-            dependent = replace(start.solution, jacobian=replace(rows, **twice))
-            matrix, units = scaled(curve, dependent)
-            decomposed.clear()
-            assert np.abs(matrix @ (kernel(curve, dependent) / units)).max() < 1e-9 and decomposed
+        return begin(mode_problem(10, 0.3), symmetry="brake+reflection").direction
+
+
+@pytest.mark.parametrize("nearly", [None, 0.0, 1e-12])
+def test_the_direction_of_a_large_family_is_the_kernel_of_its_rows(nearly, monkeypatch, decomposed):
+    """By inverse iteration as by singular values, which it leaves rows to that depend on each other: so that they have
+    no factors, and so that these are worth nothing."""
+    known = direction()
+    rows, bordered = max(decomposed), Linearised.bordered
+    set_small(monkeypatch, 0)
+
+    def dependent(given, row):
+        parts = {name: np.array(getattr(given, name)) for name in ("first", "last", "tail")}
+        for name, part in parts.items():
+            part[1] = (1 + nearly) * part[0] + nearly * getattr(given, name)[1]
+        looked = np.count_nonzero(row) > row.size / 2  # an aim is of few unknowns
+        return bordered(replace(given, **parts) if looked else given, row)
+
+    if nearly is not None:
+        monkeypatch.setattr(Linearised, "bordered", dependent)
+    decomposed.clear()
+    np.testing.assert_allclose(direction(), known, atol=1e-9 * np.abs(known).max())
+    assert (rows in decomposed) == (nearly is not None)
 
 
 @pytest.mark.parametrize("small", [0, SMALL])
@@ -466,27 +484,23 @@ def test_a_large_family_marches_variations_once_a_point(monkeypatch, small):
     """Its points are those of Newton's method all the way, and the action is integrated without variations; so they are
     of rows in parts. With its rows in one matrix each point looks once more for a family that comes near.
     """
-    monkeypatch.setattr(condensed, "SMALL", small)
-    monkeypatch.setattr(continued, "SMALL", small)
-
-    def followed():
-        start = begin(mode_problem(10, 0.3), symmetry="brake+reflection")
-        assert start.curve.equations.march.wide is wide
-        assert isinstance(start.solution.jacobian, Linearised) is (wide and not small)
-        marched.clear()
-        settings = FamilySettings(events=False, certify=False, points=4)
-        run = Run(start.curve, settings, 1, first_point(start, settings, None))
-        return [point for batch in follow(run) for point in batch.points]
-
+    set_small(monkeypatch, small)
     marched, varied = [], March.varied_each
     monkeypatch.setattr(March, "varied_each", lambda *given: marched.append(1) or varied(*given))
-    with compiling("off"):
-        wide = True
-        points, count = followed(), len(marched)
-        wide = False
-        monkeypatch.setattr(March, "wide", False)
-        known, slow = followed(), len(marched)
-    assert count <= len(points) * (2 if small else 1) + 3 < slow
+
+    def counted():
+        """Points after the first, and how often variations are marched for each of them."""
+        marched.clear()
+        settings, each = FamilySettings(events=False, certify=False, directions="forward", points=4), []
+        problem = mode_problem(10, 0.3)
+        with compiling("off"):
+            family = follow_family(problem, settings=settings, progress=lambda batch: each.append(len(marched)))
+        return family.points[1:], each
+
+    points, count = counted()
+    monkeypatch.setattr(March, "wide", False)
+    known, slow = counted()
+    assert np.diff(count[:4]).max() <= (2 if small else 1) < np.diff(slow[:4]).min()
     for point, other in zip(points, known, strict=True):
         assert point.value == pytest.approx(other.value, rel=1e-11)
         assert point.action == pytest.approx(other.action, rel=1e-9)

@@ -3,20 +3,16 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import orbitfinder as of
 from orbitfinder.families.folder import follow_family
-from orbitfinder.families.follow import follow
-from orbitfinder.families.point import FamilySettings, unknowns_of
-from orbitfinder.families.run import Run, first_point
-from orbitfinder.families.stability import Spectrum, asymplectic, spectrum
-from orbitfinder.families.start import begin
-from orbitfinder.integrate.march import March, divided
-from orbitfinder.loops.continued import at_place
+from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.stability import Spectrum, asymplectic
+from orbitfinder.integrate.compiled import compiling
+from orbitfinder.integrate.march import March
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.mechanisms.library import lorenz
@@ -150,15 +146,16 @@ def test_multipliers_that_resets_have_made_zero_are_not_known_relative_to_themse
 @pytest.fixture(scope="module")
 def steep():
     """The fast mode of the triple pendulum, from rest to where a multiplier passes 1e12."""
-    settings = FamilySettings(directions="forward", events=False)
-    start = begin(mode_problem(chain(3), 3), settings)
-    origin = first_point(start, settings, None)
-    points = [origin]
-    for batch in follow(Run(start.curve, settings, 1, origin)):
-        points += batch.points
-        if np.abs(points[-1].floquet_multipliers).max() > 1e12:
-            break
-    return SimpleNamespace(curve=start.curve, points=points)
+    settings = FamilySettings(directions="forward", events=False, certify=False)
+    return follow_family(mode_problem(chain(3), 3), until=44.0, settings=settings)
+
+
+def found_anew(point):
+    """The same orbit from its state alone, on a mesh of its own."""
+    problem = Problem(chain(3), Guess(point.state, point.period), symmetry=point.symmetry)
+    settings = FamilySettings(directions="forward", events=False, certify=False, points=1)
+    with compiling("off"):
+        return follow_family(problem, settings=settings).points[0]
 
 
 def test_every_multiplier_of_a_family_has_an_error_up_to_1e12(steep):
@@ -176,29 +173,31 @@ def test_every_multiplier_of_a_family_has_an_error_up_to_1e12(steep):
 def test_twice_the_steps_change_no_multiplier_beyond_its_error(steep):
     """Of the steepest orbit, whose multiplied matrix has lost its smallest multiplier altogether."""
     point = steep.points[-1]
-    place = unknowns_of(steep.curve, point)
-    finer = spectrum(steep.curve, at_place(steep.curve, place.on(divided(place.mesh, 2))))
-    change = np.abs(point.floquet_multipliers / finer.floquet.multipliers - 1)
+    finer = found_anew(point)
+    assert finer.mesh.size > 2 * point.mesh.size and finer.value == pytest.approx(point.value, rel=1e-13)
+    change = np.abs(point.floquet_multipliers / finer.floquet_multipliers - 1)
     assert np.all(change < 3 * point.multiplier_errors) and point.multiplier_errors.max() < 1e-8
-    lost = np.linalg.eigvals(np.linalg.matrix_power(finer.reduced, finer.root))
+    lost = np.linalg.eigvals(tour(chain(3), point.state, point.period, np.zeros(3, int)).map())
     assert np.abs(lost).min() > 10 * np.abs(point.floquet_multipliers).min()
 
 
 def test_errors_tell_of_matrices_that_are_wrong(steep, monkeypatch):
     """Matrices with errors of 1e-8 are less symplectic by that, and every error says so."""
-    curve, point = steep.curve, steep.points[-1]
-    place, rng = unknowns_of(curve, point), np.random.default_rng(1)
-    right, varied = spectrum(curve, at_place(curve, place)), March.varied
+    rng, varied = np.random.default_rng(1), March.varied_each
+    right = found_anew(steep.points[-1])
 
     def spoilt(march, *arguments, **options):
-        found = varied(march, *arguments, **options)
-        noise = 1e-8 * np.abs(found.transitions).max(axis=(1, 2), keepdims=True)
-        return replace(found, transitions=found.transitions + noise * rng.normal(size=found.transitions.shape))
+        found = []
+        for path in varied(march, *arguments, **options):
+            noise = 1e-8 * np.abs(path.transitions).max(axis=(1, 2), keepdims=True)
+            blow = noise * rng.normal(size=path.transitions.shape)
+            found.append(replace(path, transitions=path.transitions + blow))
+        return found
 
-    monkeypatch.setattr(March, "varied", spoilt)
-    wrong = spectrum(curve, at_place(curve, place))
-    assert np.all(wrong.errors > 1e4 * right.errors)
-    assert np.all(np.abs(wrong.floquet.multipliers / right.floquet.multipliers - 1) < wrong.errors)
+    monkeypatch.setattr(March, "varied_each", spoilt)
+    wrong = found_anew(steep.points[-1])
+    assert np.all(wrong.multiplier_errors > 1e4 * right.multiplier_errors)
+    assert np.all(np.abs(wrong.floquet_multipliers / right.floquet_multipliers - 1) < wrong.multiplier_errors)
 
 
 def test_errors_and_method_are_kept_and_older_points_are_read_without(steep):
@@ -214,12 +213,12 @@ def test_errors_and_method_are_kept_and_older_points_are_read_without(steep):
 def test_a_contracting_loop_keeps_its_small_multiplier():
     """Of Lorenz' shortest loop the multipliers' product is exp of the field's divergence times the period."""
     guess = Guess(np.array([-13.763610682134, -19.578751942452, 27.0]), 1.5586522107162)
-    start = begin(Problem(lorenz(), guess), FamilySettings(parameter="rho"))
-    found, period = spectrum(start.curve, start.solution), start.solution.place.period
-    assert found.method == "periodic QR" and not found.conservative
-    expected = np.exp(-(10 + 1 + 8 / 3) * period)
-    assert np.prod(found.floquet.multipliers).real == pytest.approx(expected, rel=1e-9)
-    assert np.all(found.errors < 1e-8)
+    settings = FamilySettings(directions="forward", events=False, points=1)
+    point = follow_family(Problem(lorenz(), guess), "rho", settings=settings).points[0]
+    assert point.multiplier_method == "periodic QR" and not point.indices.size
+    expected = np.exp(-(10 + 1 + 8 / 3) * point.period)
+    assert np.prod(point.floquet_multipliers).real == pytest.approx(expected, rel=1e-9)
+    assert np.all(point.multiplier_errors < 1e-8)
 
 
 @pytest.mark.slow

@@ -7,10 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import orbitfinder as of
-from orbitfinder.families import passages
 from orbitfinder.families.entries import KINDS
 from orbitfinder.families.members import extents, norms
 from orbitfinder.families.registry import EventKind, Look
+from orbitfinder.families.registry import Test as Vanishing
 from orbitfinder.integrate.extent import extent
 from orbitfinder.loops.watch import mean, range_of
 
@@ -136,7 +136,7 @@ def test_multipliers_of_samples_and_probes_are_those_of_the_period(monkeypatch):
 
     def test(interval):
         seen["sample"].append((interval.first.solution.place.period, interval.first.multipliers, interval.first.about))
-        return [passages.Test("on_time", "", lambda sample: sample.solution.place.period - 6.985)]
+        return [Vanishing("on_time", "", lambda sample: sample.solution.place.period - 6.985)]
 
     def checked(sides, event):
         seen["probe"].append((sides.here.solution.place.period, sides.here.multipliers, sides.here.about))

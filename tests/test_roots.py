@@ -16,12 +16,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import verified
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.continuation.tests import Entries, Roots, crossings, matched
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.rest_certificate import verified
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.problemfile.read import load_problem_file
 

@@ -12,9 +12,9 @@ from click.testing import CliRunner
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.families import passages
 from orbitfinder.families.entries import KINDS
 from orbitfinder.families.registry import EventKind, Followed, Look
+from orbitfinder.families.registry import Test as Vanishing
 from orbitfinder.mechanisms.chain import chain
 from orbitfinder.orbits.guesses.modes import mode_problem
 from orbitfinder.records.family import load_family, save_family
@@ -26,7 +26,7 @@ TOY = EventKind(
     check=lambda sides, event: sides.zero(lambda probe: probe.value("period") - PERIOD),
     words="the period is 1.72 s",
     look=Look("$T$", "star-square", "#00AA88", series=2, pixels=13),
-    test=lambda interval: [passages.Test("on_time", "", lambda sample: sample.solution.place.period - PERIOD)],
+    test=lambda interval: [Vanishing("on_time", "", lambda sample: sample.solution.place.period - PERIOD)],
     followed=Followed(lambda test, curve, orbits: np.array([orbit.place.period - PERIOD for orbit in orbits])),
 )
 
