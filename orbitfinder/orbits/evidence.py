@@ -658,7 +658,7 @@ def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
     forth += [last.after(first) for last, first in combinations(back, 2) if not (last.order or first.order)]
     off = {each: float(np.abs(off_centre(each, motion.states[:1], model.angular)).max()) for each in back}
     equations = Hamiltonian(model)
-    for begin in sorted(back, key=off.__getitem__):
+    for begin in sorted(back, key=lambda each: off[each]):
         again = motion
         if motion.precise == EPSILON or off[begin] > ROUNDED * np.abs(motion.states).max():
             start = _centred(begin, motion, field, model)
@@ -681,8 +681,8 @@ def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
             told = np.linalg.lstsq(asked.T, same.T)[0]
             told = told[:, np.linalg.norm(asked.T @ told - same.T, axis=0) <= KNOWN * np.linalg.norm(same, axis=1)]
             frame = complement(told.T, told.T)
-            rows = np.split(frame.T @ asked, 2, axis=1)
-            apart = distance(frame.T @ missed, rows, pieces, path / units, late, again.precise, whole)
+            first, last = np.split(frame.T @ asked, 2, axis=1)
+            apart = distance(frame.T @ missed, (first, last), pieces, path / units, late, again.precise, whole)
             least = min(least, apart[0])
             if least <= DOUBTFUL:
                 return least
