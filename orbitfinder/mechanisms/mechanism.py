@@ -558,8 +558,8 @@ JOINTS = {
         "spherical": JointKind("RRR", "xyz", _own_axes, pin=True),
         "fixed": JointKind("", "xyzabc"),
         "free": JointKind("PPPRRR", axes=_world),
-        "connect": JointKind("", "xyz", reaches=False),
-        "weld": JointKind("", "xyzabc", reaches=False),
+        "connect": JointKind("", "ijk", reaches=False),
+        "weld": JointKind("", "ijkabc", reaches=False),
         "rod": JointKind("", "l", drawn="rod", reaches=False),
     },
 }
@@ -646,7 +646,7 @@ def _check_bars(made: _Drawing, pairs: Mapping[str, tuple[str, str]]) -> None:
         ends = list(places.items())
         for k, (name, (at, pair)) in enumerate(ends):
             for other, (there, second) in ends[:k]:
-                alone = len(ends) == 2 and body != GROUND and bool(made.closing)
+                alone = len(ends) == 2 and body != GROUND and len(made.closing) > len(made.levels)
                 if at == there and (alone or pair == second) and not _cross(made, name, other):
                     raise InputError(
                         f"joints.{name}: at the same point of body {body!r} as joint {other!r} ({at}), which leaves a "
@@ -966,14 +966,15 @@ def _gap(made: _Drawing, closing: _Closing) -> tuple[ca.SX, ca.SX]:
 
 
 def _rows(made: _Drawing, closing: _Closing) -> ca.SX:
-    """The equations of a joint that closes a loop, in m, a letter each: x y z the gap, n p q across the axis,
+    """The equations of a joint that closes a loop, in m, a letter each: x y z the gap, i j k in the first body's axes,
+    in which equations that repeat others do so wherever it turns, n p q across the axis,
     u v d e the axis against two directions of the other body, a b c axes against each other, o of a universal joint,
     l the length of a rod, s that of a quaternion.
     """
     gap, turn = _gap(made, closing)
     other = made.axes(closing.table["between"][1])[0]
     wanted = ca.mtimes(turn, closing.turned)
-    rows = {letter: gap[k] for k, letter in enumerate("xyz")}
+    rows = dict(zip("xyzijk", ca.vertsplit(ca.vertcat(gap, ca.mtimes(turn.T, gap))), strict=True))
     if "l" in closing.rows:
         rows["l"] = (ca.sumsqr(gap) - closing.length**2) / (2 * closing.length)
     else:
@@ -1263,10 +1264,11 @@ def _closed(made: _Drawing, motion: _Energies, baumgarte: Sequence[float] | None
     if made.levels:  # turning all that hangs on a ball joint changes nothing, or its spin
         held = ca.gradient(ca.dot(np.sqrt(2.0 + np.arange(len(names))), phi), q)  # forces of the loops, in any shares
         acting = replace(terms, forces=held if motion.passive is None else held + motion.passive)
-        values = np.array(symbols.parameter_values)
+        turned, values = {node.name for node in made.nodes if node.unit}, np.array(symbols.parameter_values)
+        about = place + [k * (name in turned) for k, name in enumerate(motion.names)]
         invariants += [  # but for that of slides alone about where they are 0, which a body there does not have
             each for each in detected_invariants(acting, labels, symbols.arguments, None, motion.angles)
-            if each.generator and np.any(each.generator(place, 0 * place, values).full())
+            if each.generator and np.any(each.generator(about, 0 * place, values).full())
         ]  # fmt: skip
     return constrained_model(
         LinearBalances.held(matrix, bias, phi, q, v), phi, terms, symbols, stabilisation, labels,

@@ -30,7 +30,7 @@ from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import Hint, InputError, LimitError, closest, plural
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms import shapes
-from orbitfinder.mechanisms.mechanism import GROUND, JOINTS, mechanism
+from orbitfinder.mechanisms.mechanism import GROUND, JOINTS, JointKind, mechanism
 from orbitfinder.records.reading import Entries, file_bytes
 
 DOWN = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -82,14 +82,14 @@ class _Joint:
     """(joint, ratio, offset): where it is another joint's coordinate times a ratio, plus an offset"""
 
     @property
-    def reaches(self) -> bool:
-        """Whether its child hangs on it; else it closes a loop."""
-        return JOINTS[3][self.kind].reaches
-
-    @property
     def free(self) -> str:
         """What it leaves free, in its order: slides P and turns R."""
-        return JOINTS[3][self.kind].free
+        return self.sort.free
+
+    @property
+    def sort(self) -> JointKind:
+        """What its kind is."""
+        return JOINTS[3][self.kind]
 
 
 @dataclass
@@ -181,10 +181,8 @@ def robot(
         joint = _Joint("free", WORLD, made.root, np.zeros(3), np.eye(3), np.eye(3)[0])
         bodies, joints = {WORLD: _RigidBody(), **made.bodies}, {BASE: joint, **made.joints}
         made = replace(made, bodies=bodies, joints=joints, root=WORLD)
-    system, moving, solids = _tables(made, locked)
+    system, moving, solids = _tables(made, locked, quaternions)
     system |= _acting(made, moving, stiffness, rest or {}, damping, motors)
-    for table in system["joints"].values() if quaternions else ():
-        table |= {"axes": "quaternion"} if table["kind"] in ("spherical", "free") else {}
     drawn: Entries = {"file": path.name, "sha256": hashlib.sha256(data).hexdigest()}
     drawn |= {"solids": shapes.described(solids)} if solids else {}
     drawn |= {"ignored": sorted(ignore)} if ignore else {}
@@ -500,7 +498,7 @@ def _close(made: _Read, model: SimpleNamespace, k: int, frames: Mapping[int, str
     if model.sites[k]:
         places, turns = (np.array(table)[bodies] for table in (model.site_pos, model.site_quat))
         bodies = [model.site_bodyid[site] for site in bodies]
-    elif kind == "weld":
+    elif model.equalities[k] == "mjEQ_WELD":
         places, turns[0] = places[::-1], data[6:10]
     name, end = model.loops[k], f"{model.loops[k]}_end"
     kind = kind if data[10] else "connect"  # a weld whose torque is scaled by 0
@@ -570,7 +568,7 @@ def _check_smooth(model: SimpleNamespace, ignore: Sequence[str]) -> None:
 
 
 def _tables(
-    made: _Read, locked: Mapping[str, float] | Sequence[str]
+    made: _Read, locked: Mapping[str, float] | Sequence[str], quaternions: bool
 ) -> tuple[Entries, list[str], dict[str, shapes.Solid]]:
     """The bodies and joints of the mechanism that a robot is, the names of the joints that move, how bodies look."""
     free = [name for name, joint in made.joints.items() if joint.free]
@@ -583,7 +581,7 @@ def _tables(
     bodies, whose = _lumped(made, still)
     system: Entries = {"bodies": {}, "joints": {}}
     held = whose[made.root]
-    loops = [name for name, joint in made.joints.items() if not joint.reaches]
+    loops = [name for name, joint in made.joints.items() if not joint.sort.reaches]
     system |= {"redundant": "drop"} if loops else {}
     for name in [*moving, *loops]:
         joint, (turn, place), end = made.joints[name], _frame(made, name), made.bodies[made.joints[name].child]
@@ -593,7 +591,9 @@ def _tables(
             "kind": joint.kind, "between": [GROUND if body == held else _word(body) for body in pair],
             "at": [_listed(DOWN @ (at - start)) for at, start in zip((place, end.place), before, strict=True)],
         }  # fmt: skip
-        if joint.kind == "weld":
+        if quaternions and joint.free.endswith("RRR"):
+            table["axes"] = "quaternion"
+        if not joint.free and "a" in joint.sort.rows:
             turned = Rotation.from_matrix(DOWN @ _straight(turn @ end.turn.T) @ DOWN.T)
             table["turned"] = _listed(turned.as_euler("xyz"))
         if len(joint.free) == 1:
@@ -709,7 +709,7 @@ def _lumped(made: _Read, still: Mapping[str, float]) -> tuple[dict[str, _RigidBo
     whose, order = {made.root: made.root}, [made.root]
     for parent in order:
         for name, joint in made.joints.items():
-            if joint.parent != parent or not joint.reaches:
+            if joint.parent != parent or not joint.sort.reaches:
                 continue
             if joint.child in whose:
                 raise InputError(

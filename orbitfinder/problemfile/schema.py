@@ -141,8 +141,8 @@ class JointTable(Table):
         "of a turn (space) or a slide, in the first body's axes; in the plane also an angle in rad"
     )
     axes: list[list[float]] | str | None = key(
-        "of a universal joint (two) or a spherical one (three), directions or letters; 'xyz' usually; 'quaternion' turns "
-        "a spherical or free joint by a unit quaternion"
+        "of a universal joint (two) or a spherical one (three), directions or letters; 'xyz' usually; 'quaternion' "
+        "turns a spherical or free joint by a unit quaternion"
     )
     turned: Entry | Entries | None = key(
         "the second body's axes in the first's where the joint is at 0: an angle, or roll pitch yaw"
