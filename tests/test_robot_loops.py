@@ -16,6 +16,7 @@ from scipy.special import ellipj, ellipk
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
+from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.mechanics.constrained import constraint_rows
 from orbitfinder.mechanics.kind import build_model
 
@@ -469,3 +470,29 @@ def test_loops_that_do_not_close_or_leave_no_freedom_are_said(tmp_path, bodies, 
     with pytest.raises(InputError) as caught:
         read(tmp_path, text(bodies, loops))
     assert str(caught.value).startswith(said) and "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_families_by_quaternions_are_followed_in_three_components_where_the_fourth_says_its_sign():
+    """A swing's keeps w away from 0 and has its momenta; on a cone each component passes 0, which is named."""
+    rod = HUNG["bodies"]["rod"] | {"inertia": [0.05, 0.1, 0.1], "com": [0.5, 0.0, 0.0]}
+    hip = {key: value for key, value in HUNG["joints"]["hip"].items() if key != "at"}
+    model = of.mechanism(**HUNG | {"bodies": {"rod": rod}, "joints": {"hip": hip}})
+    state = of.linkages.mechanism_state(model, {"hip4": np.sin(0.5)})
+    orbit = closed(model, state, 1.74)
+    small = minimal_problem(of.Problem(model, of.Guess(orbit.state, orbit.period)))
+    assert small.model.coordinates == ("hip2", "hip3", "hip4")
+    assert [each.name for each in small.model.invariants] == [each.name for each in model.invariants]
+    q, v = np.array([0.1, 0.2, 0.3]), np.array([0.5, -0.4, 0.7])
+    whole = np.array([np.sqrt(1 - q @ q), *q]), np.array([-(q @ v) / np.sqrt(1 - q @ q), *v])
+    for ours, theirs in zip(small.model.invariants, model.invariants, strict=True):
+        value = float(theirs.value(*whole, model.parameter_values))
+        assert float(ours.value(q, v, small.model.parameter_values)) == pytest.approx(value, rel=1e-12)
+    family = of.follow_family(orbit, settings=of.FamilySettings(points=3))
+    certified = [point.certificate for point in family.points if point.certificate]
+    assert certified and all(each.passed for each in certified)
+    tilt, rate = 0.7, np.sqrt(PULL / ((ABOUT - 0.05) * np.cos(0.7)))
+    c = np.array([np.cos(tilt / 2), 0, 0, np.sin(tilt / 2)])
+    cone = np.concatenate([c, product(np.array([0, rate, 0, 0]), c) / 2])
+    with pytest.raises(InputError, match="whichever coordinates are taken as independent"):
+        minimal_problem(of.Problem(model, of.Guess(cone, 4 * np.pi / rate)))

@@ -292,16 +292,16 @@ def _in_all(model: Model, system: Table, u: ca.SX) -> ca.SX:
 
 
 def _margins(model: Model, places: np.ndarray) -> Callable[[Sequence[int]], np.ndarray]:
-    """The least singular value of the slopes with which the loops' equations hold the others, over the largest of all;
-    negative beyond a dead point."""
+    """The least singular value, over the largest, of the slopes with which the loops' equations hold the others, of a
+    single equation over all its slopes; negative beyond a dead point."""
     rows = model.along(constraint_of(model).jacobian, places.T)
     slopes = rows.reshape(rows.shape[0], len(places), -1).transpose(1, 0, 2) * coordinate_units(model)
-    largest = np.linalg.norm(slopes, 2, axis=(1, 2))
 
     def margins(chosen: Sequence[int]) -> np.ndarray:
         held = np.delete(slopes, chosen, axis=2)
-        least, side = np.linalg.svd(held, compute_uv=False)[:, -1], np.linalg.slogdet(held)[0]
-        return np.asarray(side * side[0] * least / largest / LEAST_SHARE)
+        values, side = np.linalg.svd(held, compute_uv=False), np.linalg.slogdet(held)[0]
+        largest = values[:, 0] if len(rows) > 1 else np.linalg.norm(slopes[:, 0], axis=1)
+        return np.asarray(side * side[0] * values[:, -1] / largest / LEAST_SHARE)
 
     return margins
 
