@@ -433,6 +433,17 @@ def test_what_is_conserved_is_so_on_the_constraint():
 
 
 @pytest.mark.parametrize(
+    ("at", "kept"), [([0.8, 0.0, 0.0], ["energy", "angular_momentum"]), ([0.8, 0.3, 0.0], ["energy"])]
+)
+def test_a_loop_that_holds_the_turning_takes_its_momentum(at, kept):
+    """A rod from a point on the vertical through the ball joint, and from beside it."""
+    tie = {"kind": "rod", "between": ["ground", "rod"], "at": [at, [0.9, 0.4, 0.0]], "length": 0.5}
+    hip = HUNG["joints"]["hip"] | {"at": [[0, 0, 0], [0.1, 0, 0]]}
+    model = of.mechanism(**HUNG | {"joints": {"hip": hip, "tie": tie}})
+    assert [each.name for each in model.invariants] == kept
+
+
+@pytest.mark.parametrize(
     ("change", "said"),
     [
         ({"springs": {"k": {"joint": "hip1", "stiffness": 1.0}}}, "springs.k.joint: 'hip1' is no coordinate; use"),
