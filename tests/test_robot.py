@@ -368,8 +368,11 @@ def test_gravity_that_is_given_replaces_the_files(tmp_path):
         ('stiffness="3"', 'stiffness="3 1"', "file: stiffnesspoly of jnt 'left' acts in MuJoCo"),
         ("<option ", '<option density="1.2" ', "file: density (drag of a fluid) acts in MuJoCo and is not known here"),
         ('<body name="hand"', '<body name="hand" gravcomp="1"', "file: gravcomp of body 'hand' acts in MuJoCo"),
-        ("</worldbody>", '</worldbody><equality><connect body1="hand" body2="piston" anchor="0 0 0"/></equality>',
-         "file: equality 0 (mjEQ_CONNECT) acts in MuJoCo"),
+        ("</worldbody>", '</worldbody><equality><joint joint1="slide" joint2="left" polycoef="0 1 1 0 0"/></equality>',
+         "file: equality 0 (mjEQ_JOINT) acts in MuJoCo"),
+        ("</worldbody>", '</worldbody><equality><connect body1="hand" body2="piston" anchor="0 0 0"/>'
+         '<connect name="pin" body1="trunk" anchor="0.1 0 0"/></equality>',
+         "joints: over-constrained, joint 'equality0' between 'left_arm' and 'piston', joint 'pin' between 'trunk'"),
         ("</worldbody>", '</worldbody><tendon><fixed stiffness="2"><joint joint="yaw" coef="1"/></fixed></tendon>',
          "file: stiffness of tendon 0 acts in MuJoCo"),
         ('name="hand"', 'name="left.arm"', "file: two bodies are named 'left_arm'; rename one"),

@@ -20,8 +20,8 @@ from orbitfinder._runtime.sizes import size_of
 from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Loops, by_place
 from orbitfinder.mechanics.factorise import solve_positive_definite
-from orbitfinder.mechanics.lagrange import Symbols, Terms, energy_invariant, mechanical_model
-from orbitfinder.mechanics.model import Model, constraint_of
+from orbitfinder.mechanics.lagrange import Symbols, Terms, mechanical_model
+from orbitfinder.mechanics.model import Invariant, Model, constraint_of
 from orbitfinder.mechanics.newton import closed
 from orbitfinder.records.reading import Table
 
@@ -35,6 +35,9 @@ def independent_rows_at(closure: LoopClosure, place: np.ndarray, names: Sequence
     """Rows that do not repeat earlier ones; `InputError` where some do, or only in this pose."""
     slopes, rows = closure.slopes(place), len(closure.names)
     kept = independent_rows(slopes)
+    if len(kept) >= len(place):
+        held = ", ".join(dict.fromkeys(map(closure.joint, range(rows))))
+        raise InputError(f"joints: over-constrained, {held} leave no freedom; take a joint away")
     if len(kept) == rows:
         return kept
     lost = next(k for k in range(rows) if k not in kept)
@@ -45,8 +48,6 @@ def independent_rows_at(closure: LoopClosure, place: np.ndarray, names: Sequence
             "nowhere near (a dead point of the loop: bars in line); give another pose"
         )
     if drop:
-        if len(kept) >= len(place):
-            raise InputError("joints: over-constrained, the independent equations leave no freedom; take a joint away")
         best = qr(slopes.T, mode="r", pivoting=True)[1]  # what is farthest from repeating others
         return sorted(int(k) for k in best[: len(kept)])
     raise InputError(
@@ -248,9 +249,14 @@ def _embedded(model: Model, chosen: list[int], pose: np.ndarray) -> Model:
     names = [model.state_names[k] for k in chosen]
     acceleration = solve_positive_definite(inner, -ca.mtimes(basis.T, bias))
     shown = {name: float(value) for name, value in zip(model.state_names, pose, strict=False)}
+    both, invariants = [*chosen, *(n + k for k in chosen)], list[Invariant]()
+    for each in model.invariants:
+        parts = each.value(q, v, p), each.unfolding(q, v, p)[chosen], each.generator and each.generator(q, v, p)[both]
+        value, added, along = (None if x is None else ca.Function(each.name, [u, rate, p], [x]) for x in parts)
+        invariants.append(Invariant(each.name, value, added, along))
     return mechanical_model(
         ca.Function("acceleration", [t, u, rate, p], [acceleration]), terms, symbols, names,
-        invariants=[energy_invariant(terms.kinetic, terms.potential, u, rate, p)] if model.conservative else [],
+        invariants=invariants,
         angles=tuple(bool(model.angular[k]) for k in chosen),
         points=None if model.points is None else ca.Function("points", [u, p], [model.points(q, p)]),
         space=None if model.space is None else ca.Function("space", [u, p], [model.space(q, p)]),
@@ -286,13 +292,16 @@ def _in_all(model: Model, system: Table, u: ca.SX) -> ca.SX:
 
 
 def _margins(model: Model, places: np.ndarray) -> Callable[[Sequence[int]], np.ndarray]:
-    """The least singular value, over the largest, of the slopes with which the loops' equations hold the others."""
+    """The least singular value, over the largest, of the slopes with which the loops' equations hold the others, of a
+    single equation over all its slopes; negative beyond a dead point."""
     rows = model.along(constraint_of(model).jacobian, places.T)
     slopes = rows.reshape(rows.shape[0], len(places), -1).transpose(1, 0, 2) * coordinate_units(model)
 
     def margins(chosen: Sequence[int]) -> np.ndarray:
-        values = np.linalg.svd(np.delete(slopes, chosen, axis=2), compute_uv=False)
-        return np.asarray(values[:, -1] / values[:, 0] / LEAST_SHARE)
+        held = np.delete(slopes, chosen, axis=2)
+        values, side = np.linalg.svd(held, compute_uv=False), np.linalg.slogdet(held)[0]
+        largest = values[:, 0] if len(rows) > 1 else np.linalg.norm(slopes[:, 0], axis=1)
+        return np.asarray(side * side[0] * values[:, -1] / largest / LEAST_SHARE)
 
     return margins
 

@@ -7,8 +7,9 @@ articulated bodies, O(n)). Every other joint closes a loop: its equations are co
 system is a native DAE (see `constrained`), closed and put into minimal coordinates by `closing`.
 
 Axes: x down, y right, z towards the eye. A ball joint turns by three angles about axes of which the second leaves the
-first (Cardan's x, y, z unless said otherwise) and not by a quaternion: as many coordinates as freedoms, so that q' = v,
-a mode is a mode and a multiplier a multiplier; where the second angle is +-90 degrees (0 of z, x, z) two axes are one.
+first (Cardan's x, y, z unless said otherwise): as many coordinates as freedoms, so that q' = v, a mode is a mode and a
+multiplier a multiplier; where the second angle is +-90 degrees (0 of z, x, z) two axes are one. With axes =
+"quaternion" it turns by c / |c|, which no pose stops, and |c| = 1 is a constraint beside those of the loops.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from orbitfinder.mechanics.lagrange import (
     Terms,
     coordinate_names,
     detected_invariants,
+    energy_invariant,
     mass_matrix_and_bias,
     mechanical_model,
     pictured,
@@ -127,6 +129,8 @@ class _Node:
     rotor: ca.SX | float = 0.0
     """inertia of what turns with it in its drive, geared (kg m^2, kg)"""
     index: int = -1
+    unit: bool = False
+    """of a unit quaternion (see `_orient`)"""
 
     def turn(self) -> ca.SX:
         """Its axes in the parent's (3 x 3)."""
@@ -189,6 +193,8 @@ class _Drawing:
     closing: list[_Closing] = field(default_factory=list)
     owner: dict[str, str] = field(default_factory=dict)
     """the joint of each coordinate"""
+    levels: dict[str, _Node] = field(default_factory=dict)
+    """of each quaternion's joint the node with its length (see `_orient`)"""
     masses: list[_Mass] = field(default_factory=list)
     coms: dict[str, ca.SX] = field(default_factory=dict)
     places: dict[str, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
@@ -310,6 +316,8 @@ def mechanism(
     if drawn:
         system["drawn"] = dict(drawn)
     drawing = _drawn(system, numbers)
+    if drawing.levels:
+        system["pose"] = {node.name: 1.0 for node in drawing.levels.values()} | system.get("pose", {})
     motion = _Energies.of(drawing)
     numbers.finish()
     made = _closed(drawing, motion, baumgarte) if drawing.closing else _tree(drawing, motion)
@@ -425,9 +433,9 @@ def _drawn(system: Table, numbers: _Numbers) -> _Drawing:
             )
         length, kind = ca.SX(0), made.kinds[name]
         ways, points = _motions(made, name, table), _points(made, "joints", name, table)
-        if not kind.reaches:
+        if "l" in kind.rows:
             length = _positive(numbers, f"joints.{name}.length", f"{name}_length", table.get("length", 0.0), "m")
-        turned = _turned(made, name, table) if kind.reaches else _eye()
+        turned = _turned(made, name, table) if "l" not in kind.rows else _eye()
         made.closing.append(_Closing(name, table, kind.rows, points, ways, turned, length))
     _check_bars(made, pairs)
     return made
@@ -471,8 +479,10 @@ def _points(made: _Drawing, where: str, name: str, table: Table) -> tuple[ca.SX,
 
 def _motions(made: _Drawing, name: str, table: Table) -> list[tuple[bool, ca.SX]]:
     """What a joint leaves free: turns (True) and slides with their axes (3), in the first body's frame."""
-    free = made.kinds[name].free
-    return [(way == "R", axis) for way, axis in zip(free, made.kinds[name].axes(made, name, table, free), strict=True)]
+    kind, free = made.kinds[name], made.kinds[name].free
+    axes = (_world if kind.unit(table) else kind.axes)(made, name, table, free)
+    ways = [(way == "R", axis) for way, axis in zip(free, axes, strict=True)]
+    return [*ways[:-3], (False, ca.SX(3, 1)), *ways[-3:]] if kind.unit(table) else ways
 
 
 def _own_axis(made: _Drawing, name: str, table: Table, free: str) -> list[ca.SX]:
@@ -524,7 +534,11 @@ class JointKind:
     pin: bool = False
     """whether a body of two such joints at one point is a bar of no length"""
     reaches: bool = True
-    """whether it joins a body to the tree; else it holds two points at a length"""
+    """whether it may join a body to the tree; else it closes a loop wherever it is"""
+
+    def unit(self, table: Table) -> bool:
+        """Whether its turns are the last four coordinates, a unit quaternion."""
+        return self.free.endswith("RRR") and table.get("axes") == "quaternion"
 
 
 JOINTS = {
@@ -544,6 +558,8 @@ JOINTS = {
         "spherical": JointKind("RRR", "xyz", _own_axes, pin=True),
         "fixed": JointKind("", "xyzabc"),
         "free": JointKind("PPPRRR", axes=_world),
+        "connect": JointKind("", "ijk", reaches=False),
+        "weld": JointKind("", "ijkabc", reaches=False),
         "rod": JointKind("", "l", drawn="rod", reaches=False),
     },
 }
@@ -591,13 +607,32 @@ def _grow(made: _Drawing, name: str, table: Table, pair: tuple[str, str]) -> Non
         rotor = (
             made.numbers(f"joints.{name}.rotor", f"{name}_rotor", table.get("rotor", 0.0)) if len(steps) == 1 else 0.0
         )
-        made.nodes.append(_Node(parent, frame, place, turns, axis, label, rotor=rotor))
+        unit = made.kinds[name].unit(table) and label in labels[-4:]
+        made.nodes.append(_Node(parent, frame, place, turns, axis, label, rotor=rotor, unit=unit))
+        if unit and not turns:
+            made.levels[name] = made.nodes[-1]
         parent, frame, place = len(made.nodes) - 1, _eye(), ca.SX(3, 1)
     if forwards:
         frame = ca.mtimes(frame, turned)
     angle = _angle(turned) if made.dimension == 2 else ca.SX(0)
     whole = base.turned + (angle if forwards else -angle)
     made.bodies[new] = _Body(parent, frame, place - ca.mtimes(frame, there), whole)
+    if name in made.levels:
+        made.closing.append(_Closing(name, table, "s", points, ways, turned))
+
+
+def _orient(level: _Node, *turns: _Node) -> None:
+    """Put coordinates c into the nodes of a quaternion: R(c / |c|), the rates of turning about the second body's axes,
+    and the level (|c|^2 - 1) / 2, which moves no body: its inertia makes the mass matrix regular, and takes no part
+    in the motion, along which the level stays 0."""
+    c, rates = (ca.vertcat(*(getattr(node, name) for node in (level, *turns))) for name in "qv")
+    across, back = _skew(c[1:]), turns[0].axis[0]  # -1 where the joint is told from its second body
+    turn = _eye() + 2 * ca.mtimes(back * c[0] * _eye() + across, across) / ca.sumsqr(c)
+    level.frame = ca.mtimes(level.frame, turn)
+    spin = 2 * (c[0] * rates[1:] - rates[0] * c[1:] - ca.mtimes(across, rates[1:])) / ca.sumsqr(c)
+    for k, node in enumerate(turns):
+        node.q, node.v = ca.SX(0), spin[k]
+    level.q, level.v, level.rotor = (ca.sumsqr(c) - 1) / 2, ca.dot(c, rates), 1.0
 
 
 def _check_bars(made: _Drawing, pairs: Mapping[str, tuple[str, str]]) -> None:
@@ -611,7 +646,7 @@ def _check_bars(made: _Drawing, pairs: Mapping[str, tuple[str, str]]) -> None:
         ends = list(places.items())
         for k, (name, (at, pair)) in enumerate(ends):
             for other, (there, second) in ends[:k]:
-                alone = len(ends) == 2 and body != GROUND and bool(made.closing)
+                alone = len(ends) == 2 and body != GROUND and len(made.closing) > len(made.levels)
                 if at == there and (alone or pair == second) and not _cross(made, name, other):
                     raise InputError(
                         f"joints.{name}: at the same point of body {body!r} as joint {other!r} ({at}), which leaves a "
@@ -665,6 +700,8 @@ class _Energies:
             raise InputError("motions: every coordinate is prescribed, which leaves no motion to compute; free one")
         for k, node in enumerate(own):
             node.q, node.v, node.index = q[k], v[k], k
+        for name in made.levels:
+            _orient(*(node for node in own if node.unit and made.owner[node.name] == name))
         for name, rule in behind.items():
             _follow(made, name, rule)
         _weigh(made)
@@ -703,7 +740,7 @@ class _Energies:
             q, v, numbers.vector, tuple(numbers.names), tuple(numbers.values), time=t if forced else None,
             forcing_period=2 * np.pi / clock[1] if forced else None,
         )  # fmt: skip
-        angles = [node.turns for node in own]
+        angles = [node.turns and not node.unit for node in own]
         names = [node.name for node in own]
         return cls(
             symbols, kinetic, fall + elastic, elastic, passive, drive, controls, acting, gravity, names, angles,
@@ -870,7 +907,7 @@ def _coordinate(made: _Drawing, where: str, table: Table) -> ca.SX:
     """The angle (rad) or slide (m) of a joint, of what closes a loop too; `InputError` for others."""
     name = str(table.get("joint"))
     for node in made.nodes:
-        if node.name == name:
+        if node.name == name and not node.unit:
             return node.q
     for closing in made.closing:
         if closing.name == name and made.dimension == 2 and closing.ways:
@@ -880,7 +917,7 @@ def _coordinate(made: _Drawing, where: str, table: Table) -> ca.SX:
                 return made.angle(second) - made.angle(first) - _angle(closing.turned)
             gap, turn = _gap(made, closing)
             return ca.dot(gap, ca.mtimes(turn, axis))
-    known = [node.name for node in made.nodes]
+    known = [node.name for node in made.nodes if not node.unit]
     raise InputError(f"{where}.joint: {name!r} is no coordinate{closest(name, known)}; use {', '.join(known)}")
 
 
@@ -929,14 +966,15 @@ def _gap(made: _Drawing, closing: _Closing) -> tuple[ca.SX, ca.SX]:
 
 
 def _rows(made: _Drawing, closing: _Closing) -> ca.SX:
-    """The equations of a joint that closes a loop, in m, a letter each: x y z the gap, n p q across the axis,
+    """The equations of a joint that closes a loop, in m, a letter each: x y z the gap, i j k in the first body's axes,
+    in which equations that repeat others do so wherever it turns, n p q across the axis,
     u v d e the axis against two directions of the other body, a b c axes against each other, o of a universal joint,
-    l the length of a rod.
+    l the length of a rod, s that of a quaternion.
     """
     gap, turn = _gap(made, closing)
     other = made.axes(closing.table["between"][1])[0]
     wanted = ca.mtimes(turn, closing.turned)
-    rows = {letter: gap[k] for k, letter in enumerate("xyz")}
+    rows = dict(zip("xyzijk", ca.vertsplit(ca.vertcat(gap, ca.mtimes(turn.T, gap))), strict=True))
     if "l" in closing.rows:
         rows["l"] = (ca.sumsqr(gap) - closing.length**2) / (2 * closing.length)
     else:
@@ -956,6 +994,8 @@ def _rows(made: _Drawing, closing: _Closing) -> ca.SX:
                 c: made.size * ca.dot(ahead, ca.mtimes([other, closing.turned.T, d]))
                 for c, d in zip("uv", across, strict=True)
             }
+    if "s" in closing.rows:
+        rows["s"] = made.size * made.levels[closing.name].q
     if "o" in closing.rows:
         (_, first), (_, second) = closing.ways
         rows["o"] = made.size * ca.dot(ca.mtimes(turn, first), ca.mtimes([other, closing.turned.T, second]))
@@ -1192,7 +1232,7 @@ def _check_weights(made: _Drawing, motion: _Energies, place: np.ndarray, weights
         body = made.tables("joints")[joint]["between"][1]
         why = (
             "two of its axes are one in this pose; give another pose, or other axes"
-            if made.kinds[joint].free.count("R") > 1
+            if made.kinds[joint].free.count("R") > 1 and joint not in made.levels
             else f"body {body!r} turns about its own centre of mass without inertia; give it an inertia, or move com"
         )
         raise InputError(f"joints.{joint}: coordinate {name} moves no mass: {why}")
@@ -1218,10 +1258,21 @@ def _closed(made: _Drawing, motion: _Energies, baumgarte: Sequence[float] | None
             fastest = max(fastest, float(np.abs(pushed / sizes).max()))
         baumgarte = [float(2.0 ** np.round(np.log2(np.sqrt(fastest)))) if fastest > 0 else 1.0] * 2
     stabilisation = Baumgarte(*(finite_number("baumgarte", number) for number in baumgarte))
+    terms = Terms(motion.kinetic, motion.potential, forces=motion.passive, actuation=motion.drive)
+    labels = coordinate_names(motion.names, symbols)
+    invariants = [] if motion.passive is not None else [energy_invariant(terms.kinetic, terms.potential, q, v, p)]
+    if made.levels:  # turning all that hangs on a ball joint changes nothing, or its spin
+        held = ca.gradient(ca.dot(np.sqrt(2.0 + np.arange(len(names))), phi), q)  # forces of the loops, in any shares
+        acting = replace(terms, forces=held if motion.passive is None else held + motion.passive)
+        turned, values = {node.name for node in made.nodes if node.unit}, np.array(symbols.parameter_values)
+        about = place + [k * (name in turned) for k, name in enumerate(motion.names)]
+        invariants += [  # but for that of slides alone about where they are 0, which a body there does not have
+            each for each in detected_invariants(acting, labels, symbols.arguments, None, motion.angles)
+            if each.generator and np.any(each.generator(about, 0 * place, values).full())
+        ]  # fmt: skip
     return constrained_model(
-        LinearBalances.held(matrix, bias, phi, q, v), phi,
-        Terms(motion.kinetic, motion.potential, forces=motion.passive, actuation=motion.drive), symbols, stabilisation,
-        coordinate_names(motion.names, symbols), force_names=names, **_parts(made, motion),
+        LinearBalances.held(matrix, bias, phi, q, v), phi, terms, symbols, stabilisation, labels,
+        force_names=names, invariants=None if symbols.time is not None else invariants, **_parts(made, motion),
         system={**made.system, "baumgarte": [stabilisation.alpha, stabilisation.beta]},
     )  # fmt: skip
 

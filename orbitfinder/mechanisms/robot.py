@@ -30,7 +30,7 @@ from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import Hint, InputError, LimitError, closest, plural
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms import shapes
-from orbitfinder.mechanisms.mechanism import GROUND, JOINTS, mechanism
+from orbitfinder.mechanisms.mechanism import GROUND, JOINTS, JointKind, mechanism
 from orbitfinder.records.reading import Entries, file_bytes
 
 DOWN = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -40,10 +40,10 @@ LARGEST, MOST_BODIES, IGNORED = 4_000_000, 1000, ("friction", "fluid", "tendons"
 """Bytes of a file, and bodies in it; what of it may be left out"""
 SECONDS, MEMORY = 30.0, 4_000_000_000
 """What MuJoCo gets to read a file: s, bytes"""
-MJCF, MUJOCO = (
-    {"damping": "damping", "rotor": "armature", "friction": "frictionloss"},
-    {"mjJNT_HINGE": "revolute", "mjJNT_SLIDE": "prismatic", "mjJNT_FREE": "free", "mjJNT_BALL": "spherical"},
-)
+MJCF, MUJOCO = {"damping": "damping", "rotor": "armature", "friction": "frictionloss"}, {
+    "mjJNT_HINGE": "revolute", "mjJNT_SLIDE": "prismatic", "mjJNT_FREE": "free", "mjJNT_BALL": "spherical",
+    "mjEQ_CONNECT": "connect", "mjEQ_WELD": "weld",
+}  # fmt: skip
 BASE, WORLD = "base_joint", "world_of_base"
 """The free joint of a floating base, and what it hangs on"""
 
@@ -84,7 +84,12 @@ class _Joint:
     @property
     def free(self) -> str:
         """What it leaves free, in its order: slides P and turns R."""
-        return JOINTS[3][self.kind].free
+        return self.sort.free
+
+    @property
+    def sort(self) -> JointKind:
+        """What its kind is."""
+        return JOINTS[3][self.kind]
 
 
 @dataclass
@@ -108,6 +113,8 @@ def robot(
     damping: Mapping[str, float] | float | None = None,
     motors: Sequence[str] | str = (),
     floating: bool = False,
+    quaternions: bool = False,
+    pose: Mapping[str, float] | None = None,
     gravity: Sequence[float] | float | None = None,
     ignore: Sequence[str] = (),
     values: Mapping[str, float] | None = None,
@@ -116,9 +123,10 @@ def robot(
 
     Contacts, actuators and sensors are left out; what else acts and is not known is refused by name, unless it is to be
     ignored. A coordinate is 0 as the file draws the robot. Stops of joints do not act, and a found orbit that passes
-    one is hinted at. Joints that mimic another follow it. Numbers are physical parameters named after links and joints
-    ("link3_mass"), in the axes of the zero position, x down. Links are drawn by what the file says of their looks:
-    boxes, cylinders, balls, meshes (STL, OBJ, Collada); a mesh that is not there is hinted at.
+    one is hinted at. Joints that mimic another follow it; what MJCF connects or welds closes a loop, rigidly. Numbers
+    are physical parameters named after links and joints ("link3_mass"), in the axes of the zero position, x down. Links
+    are drawn by what the file says of their looks: boxes, cylinders, balls, meshes (STL, OBJ, Collada); a mesh that is
+    not there is hinted at.
 
     Args:
         file: the URDF or MJCF file, in a problem file beside it unless the path says otherwise.
@@ -129,6 +137,8 @@ def robot(
             refused.
         motors: joints with a control torque of their own, within the file's effort; "all" for all.
         floating: the base moves freely instead of being fixed to the ground.
+        quaternions: ball joints and free ones turn by unit quaternions, not by three angles.
+        pose: coordinates near which loops are assembled, 0 otherwise.
         gravity: m/s^2, along the file's -z, or [x, y, z] in the file's axes; the file's own, or 9.80665.
         ignore: what acts in the file and is to be left out: "friction" (Coulomb's), "fluid" (drag), "tendons",
             "equalities"; "contact" and "limits" never act. The record names it.
@@ -171,7 +181,7 @@ def robot(
         joint = _Joint("free", WORLD, made.root, np.zeros(3), np.eye(3), np.eye(3)[0])
         bodies, joints = {WORLD: _RigidBody(), **made.bodies}, {BASE: joint, **made.joints}
         made = replace(made, bodies=bodies, joints=joints, root=WORLD)
-    system, moving, solids = _tables(made, locked)
+    system, moving, solids = _tables(made, locked, quaternions)
     system |= _acting(made, moving, stiffness, rest or {}, damping, motors)
     drawn: Entries = {"file": path.name, "sha256": hashlib.sha256(data).hexdigest()}
     drawn |= {"solids": shapes.described(solids)} if solids else {}
@@ -180,7 +190,7 @@ def robot(
     fall = np.array([0.0, 0.0, -float(given)]) if given.ndim == 0 else given
     if fall.shape != (3,) or not np.all(np.isfinite(fall)):
         raise InputError(f"gravity: {gravity}; give m/s^2 along the file's -z, or three numbers (x, y, z)")
-    return mechanism(**system, dimension=3, gravity=_listed(DOWN @ fall), drawn=drawn, values=values)
+    return mechanism(**system, dimension=3, gravity=_listed(DOWN @ fall), pose=pose, drawn=drawn, values=values)
 
 
 def _root(data: bytes) -> str:
@@ -391,7 +401,7 @@ def compiled(file: str) -> Entries:
         raise
     except Exception as error:
         return {"refused": " ".join(str(error).split())}
-    read = ("qpos", "body_", "jnt_", "dof_", "eq_", "tendon_")
+    read = ("qpos", "body_", "jnt_", "dof_", "eq_", "site_", "tendon_")
     lists: Entries = {name: getattr(model, name).tolist() for name in dir(model) if name.startswith(read)}
     lists["solids"] = [[part.tolist() for part in solid] for solid in _bare(mujoco, model)]
     lists |= {name: np.asarray(getattr(model.opt, name)).tolist() for name in ("gravity", "density", "viscosity")}
@@ -401,6 +411,8 @@ def compiled(file: str) -> Entries:
         "joints": [_word(model.joint(k).name or f"joint{k}") for k in range(model.njnt)],
         "kinds": [mujoco.mjtJoint(k).name for k in model.jnt_type.tolist()],
         "equalities": [mujoco.mjtEq(k).name for k in model.eq_type.tolist()],
+        "loops": [model.equality(k).name or f"equality{k}" for k in range(model.neq)],
+        "sites": (model.eq_objtype == mujoco.mjtObj.mjOBJ_SITE).tolist(),
         "off": [name for name, bit in mujoco.mjtDisableBit.__members__.items() if model.opt.disableflags & int(bit)],
     }
 
@@ -473,7 +485,27 @@ def _mjcf(path: Path, data: bytes, ignore: Sequence[str]) -> _Read:
             weld = _Joint("fixed", parent, frames[k], place, turned, np.eye(3)[0])
             _put(made.joints, "joints", f"{names[k]}_weld", weld)
         _put(made.bodies, "bodies", frames[k], body)
+    for k in _held(model, ignore):
+        if model.equalities[k] in MUJOCO:
+            _close(made, model, k, frames)
     return made
+
+
+def _close(made: _Read, model: SimpleNamespace, k: int, frames: Mapping[int, str]) -> None:
+    """A joint that closes a loop: an equality's place on its first body, and a link fixed at that on its second."""
+    data, kind = np.array(model.eq_data[k]), MUJOCO[model.equalities[k]]
+    bodies, places, turns = [model.eq_obj1id[k], model.eq_obj2id[k]], data[:6].reshape(2, 3), np.eye(4)[[0, 0]]
+    if model.sites[k]:
+        places, turns = (np.array(table)[bodies] for table in (model.site_pos, model.site_quat))
+        bodies = [model.site_bodyid[site] for site in bodies]
+    elif model.equalities[k] == "mjEQ_WELD":
+        places, turns[0] = places[::-1], data[6:10]
+    name, end = model.loops[k], f"{model.loops[k]}_end"
+    kind = kind if data[10] else "connect"  # a weld whose torque is scaled by 0
+    for label, what, body, place, turn in zip((name, end), (kind, "fixed"), bodies, places, turns, strict=True):
+        axes = _straight(Rotation.from_quat(np.roll(turn, -1)).as_matrix())
+        _put(made.joints, "joints", label, _Joint(what, frames[body], end, place, axes, np.eye(3)[0]))
+    _put(made.bodies, "bodies", end, _RigidBody())
 
 
 def _mjcf_joint(model: SimpleNamespace, k: int, joint: _Joint, ignore: Sequence[str]) -> tuple[str, _Joint]:
@@ -496,8 +528,8 @@ def _mjcf_joint(model: SimpleNamespace, k: int, joint: _Joint, ignore: Sequence[
     sprung = not {"mjDSBL_SPRING", "mjDSBL_PASSIVE"} & {*model.off}
     stops = single and model.jnt_limited[k] and not {"mjDSBL_LIMIT", "mjDSBL_CONSTRAINT"} & {*model.off}
     drawn = model.qpos0[place] if single else 0.0  # its `ref`; equalities and ours count from there
-    rules = ((model.joints[model.eq_obj2id[i]], model.eq_data[i][1], model.eq_data[i][0])
-             for i in _held(model, ignore) if model.eq_obj1id[i] == k)  # fmt: skip
+    rules = ((model.joints[model.eq_obj2id[i]], model.eq_data[i][1], model.eq_data[i][0]) for i in _held(model, ignore)
+             if (model.equalities[i], model.eq_obj1id[i]) == ("mjEQ_JOINT", k))  # fmt: skip
     return name, replace(
         joint, kind=kind, axis=np.array(model.jnt_axis[k]), **loss, stiffness=model.jnt_stiffness[k] * sprung,
         rest=model.qpos_spring[place] - drawn if single else 0.0, mimics=next(rules, None),
@@ -525,6 +557,8 @@ def _check_smooth(model: SimpleNamespace, ignore: Sequence[str]) -> None:
         wrong += [f"{what} of {owner} {named[owner][k] if owner in named else k!r}" for k in acting]
     bound: set[int] = set()
     for k in _held(model, ignore):
+        if model.equalities[k] in MUJOCO:
+            continue
         linear = model.equalities[k] == "mjEQ_JOINT" and model.eq_obj2id[k] >= 0 and not any(model.eq_data[k][2:5])
         wrong += [] if linear and model.eq_obj1id[k] not in bound else [f"equality {k} ({model.equalities[k]})"]
         bound.add(model.eq_obj1id[k])
@@ -534,7 +568,7 @@ def _check_smooth(model: SimpleNamespace, ignore: Sequence[str]) -> None:
 
 
 def _tables(
-    made: _Read, locked: Mapping[str, float] | Sequence[str]
+    made: _Read, locked: Mapping[str, float] | Sequence[str], quaternions: bool
 ) -> tuple[Entries, list[str], dict[str, shapes.Solid]]:
     """The bodies and joints of the mechanism that a robot is, the names of the joints that move, how bodies look."""
     free = [name for name, joint in made.joints.items() if joint.free]
@@ -547,14 +581,21 @@ def _tables(
     bodies, whose = _lumped(made, still)
     system: Entries = {"bodies": {}, "joints": {}}
     held = whose[made.root]
-    for name in moving:
-        joint = made.joints[name]
-        parent, (turn, place) = whose[joint.parent], _frame(made, name)
-        before = bodies[parent].place if parent != held else np.zeros(3)
+    loops = [name for name, joint in made.joints.items() if not joint.sort.reaches]
+    system |= {"redundant": "drop"} if loops else {}
+    for name in [*moving, *loops]:
+        joint, (turn, place), end = made.joints[name], _frame(made, name), made.bodies[made.joints[name].child]
+        pair = [whose[joint.parent], whose[joint.child]]
+        before = [bodies[body].place if body != held else np.zeros(3) for body in pair]
         table: Entries = {
-            "kind": joint.kind, "between": [GROUND if parent == held else _word(parent), _word(whose[joint.child])],
-            "at": [_listed(DOWN @ (place - before)), [0.0, 0.0, 0.0]],
+            "kind": joint.kind, "between": [GROUND if body == held else _word(body) for body in pair],
+            "at": [_listed(DOWN @ (at - start)) for at, start in zip((place, end.place), before, strict=True)],
         }  # fmt: skip
+        if quaternions and joint.free.endswith("RRR"):
+            table["axes"] = "quaternion"
+        if not joint.free and "a" in joint.sort.rows:
+            turned = Rotation.from_matrix(DOWN @ _straight(turn @ end.turn.T) @ DOWN.T)
+            table["turned"] = _listed(turned.as_euler("xyz"))
         if len(joint.free) == 1:
             table["axis"] = _listed(DOWN @ turn @ joint.axis)
         if joint.rotor:
@@ -668,7 +709,7 @@ def _lumped(made: _Read, still: Mapping[str, float]) -> tuple[dict[str, _RigidBo
     whose, order = {made.root: made.root}, [made.root]
     for parent in order:
         for name, joint in made.joints.items():
-            if joint.parent != parent:
+            if joint.parent != parent or not joint.sort.reaches:
                 continue
             if joint.child in whose:
                 raise InputError(

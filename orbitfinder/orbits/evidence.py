@@ -184,10 +184,10 @@ def canonical_frame(
 
     `lift` (2n x 2n) takes directions there from (q, v), `flow` is there already and `free` the flow without forces.
     Each gradient comes from the direction that it generates without forces: X = J grad I, so grad I = -J X (and, under
-    constraints, of which the energy is the only invariant looked at, a sum of theirs).
+    constraints, a sum of theirs; in link angles the energy is the only invariant looked at).
     """
     turns, commuting = (
-        generated(model, state, each) @ lift.T if model.constraint is None else np.zeros((0, flow.size))
+        generated(model, state, each) @ lift.T if len(lift) == state.size else np.zeros((0, flow.size))
         for each in (False, True)
     )
     conserved = np.vstack([*([flow if free is None else free] if model.conservative else []), turns])

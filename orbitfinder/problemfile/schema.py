@@ -132,7 +132,8 @@ class JointTable(Table):
 
     kind: str = Field(
         description="in the plane revolute, prismatic, slot (a pin in a straight slot of the first body), fixed, free; "
-        "in space revolute, prismatic, cylindrical, universal, spherical, fixed, free; rod, a bar without mass, in both"
+        "in space revolute, prismatic, cylindrical, universal, spherical, fixed, free; connect (two points), weld: "
+        "they only close loops; rod, a bar without mass, in both"
     )
     between: list[str] = Field(min_length=2, max_length=2, description="the two bodies; one may be 'ground'")
     at: list[Entries] | None = key(TWO_POINTS)
@@ -140,7 +141,8 @@ class JointTable(Table):
         "of a turn (space) or a slide, in the first body's axes; in the plane also an angle in rad"
     )
     axes: list[list[float]] | str | None = key(
-        "of a universal joint (two) or a spherical one (three), directions or letters; 'xyz' usually"
+        "of a universal joint (two) or a spherical one (three), directions or letters; 'xyz' usually; 'quaternion' "
+        "turns a spherical or free joint by a unit quaternion"
     )
     turned: Entry | Entries | None = key(
         "the second body's axes in the first's where the joint is at 0: an angle, or roll pitch yaw"
