@@ -672,7 +672,7 @@ def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
             missed = (first @ path[0] + last @ path[-1] - constant) / sizes[:, 0]
             whole = in_extents(again.through, units)[0] if again.through is not None and symmetry.parts == 2 else None
             through = multiplied(pieces) if whole is None else whole.astype(float)
-            if np.abs(missed).max() > FALSE * max(1.0, np.linalg.norm(through)):
+            if np.abs(missed).max() > FALSE * max(1.0, float(np.linalg.norm(through))):
                 continue
             late = through @ (again.rate / units) * period / symmetry.parts
             asked = np.hstack([first * units / sizes, last * units / sizes])
