@@ -502,6 +502,9 @@ def test_a_curve_of_collisions_in_closed_form():
     curve = curve_of(bouncing(family, 2, r=0.5), "collision", 0.9)
     at = curve.places[: len(curve.points)]
     assert np.abs(at[:, 1] - (1.06 - 0.04 * at[:, 0])).max() < 1e-9 and [end.kind for end in curve.ends] == ["target"]
+    (event,) = curve_of(bouncing(family, 2, r=0.5), "collision", -20.0).events  # where both indices are 0
+    assert (event.kind, event.detail) == ("strong_resonance", "1:4")
+    assert event.free == pytest.approx({"r": -13.5, "s": 1.6}, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -92,7 +92,7 @@ def along_circle(_: Critical, about: Spectrum) -> Iterator[Test]:
 
 def along_collisions(_: Critical, about: Spectrum) -> Iterator[Test]:
     """The tests of a curve of collisions: where the two pairs that meet go along the unit circle."""
-    yield from _resonances(about.root, lambda sample: float(np.mean(nearest_pair(sample.indices)).real))
+    yield from _resonances(about.root, lambda sample: float(np.mean(nearest_pair(sample.about.indices)).real))
 
 
 def _resonances(root: int, total: Measure) -> Iterator[Test]:
