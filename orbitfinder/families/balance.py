@@ -505,6 +505,7 @@ class _Direction:
                             f"are unknown: {error}")  # fmt: skip
                     logging.getLogger(__name__).warning(said)
                     self.own.undecided += (said,)
+                before.point.w.known.clear()  # factors of matrices, megabytes each
             self.points.append(kept)
             self.events += [replace(event, arclength=self.sign * event.arclength) for event in events]
             if progress:
