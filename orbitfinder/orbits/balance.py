@@ -15,7 +15,7 @@ from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError
 from orbitfinder.integrate.residual import Residual
 from orbitfinder.loops.conditions import PHASE, Pin
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
-from orbitfinder.loops.problem import Guess, Problem, at_forcing_period
+from orbitfinder.loops.problem import Problem, at_forcing_period
 from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, Solver, full
