@@ -55,7 +55,7 @@ from orbitfinder.loops.watch import Number, Watch, numbers, watches
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.scales import extents, extents_of, masses_of
-from orbitfinder.orbits.balance import NAME, begun, freed, refused, samples_of, states_of
+from orbitfinder.orbits.balance import NAME, begun, freed, refused, samples_of, states_of, suits
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.closure import LARGEST_SCALE
 from orbitfinder.orbits.evidence import ClosureCheck
@@ -119,7 +119,7 @@ def followed(
     if parameter in problem.free:
         raise InputError(f"parameter: {parameter} is free for the phase already; follow in another")
     first = begun(problem, parameter, until)
-    few = first.problem.equations.size <= SMALL and not problem.free
+    few = first.problem.equations.size <= SMALL and not problem.free and not suits(problem)
     own = (_Marched if few and exponents(first.problem, first.w).whole else _Large)(
         problem, settings, name, watches(watch, problem.model), first
     )
@@ -191,25 +191,18 @@ class _Marched:
     def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:  # noqa: ARG002
         if not self.settings.events:
             return []
-        first = self.sample(before.point)
+        curve, first = self.curve, self.sample(before.point)
         last = self.sample(after.point, first.indices)
-        length, step = ahead(self.curve, first, last.solution), after.point.arclength - before.point.arclength
-        interval = make_interval(self.curve, first, replace(last, distance=length))
-        name, located = self.settings.parameter, list[Event]()
-        try:
-            located = [event_at(self.curve, *each, name) for each in find_events(interval, self.settings)]
-        except (ConvergenceError, IntegrationError) as error:  # costs these events, not the family
-            said = (
-                f"between {name} = {before.record.value:.12g} and {after.record.value:.12g} events are unknown: {error}"
-            )
-            logging.getLogger(__name__).warning(said)
-            self.undecided += (said,)
-        batch = checked(self.curve, Batch(1, events=tuple(located)), length, name)
-        self.undecided += batch.undecided
-        batch = batch_certified(self.curve, batch) if self.settings.certify else batch
-        if not self.curve.equations.model.forced:  # from here on in its own scales, of whatever size it is
-            self.curve = self.curve.measured(last.solution)
+        length, step = ahead(curve, first, last.solution), after.point.arclength - before.point.arclength
+        interval = make_interval(curve, first, replace(last, distance=length))
+        if not curve.equations.model.forced:  # from here on in its own scales, of whatever size it is
+            self.curve = curve.measured(last.solution)
             self._samples.clear()
+        name = self.settings.parameter
+        located = tuple(event_at(curve, *each, name) for each in find_events(interval, self.settings))
+        batch = checked(curve, Batch(1, events=located), length, name)
+        self.undecided += batch.undecided
+        batch = batch_certified(curve, batch) if self.settings.certify else batch
         return [
             replace(event, arclength=before.point.arclength + event.arclength * step / length) for event in batch.events
         ]
@@ -279,7 +272,7 @@ class _Large:
             units = extents_of(self.model, states, period)
         else:
             units = extents(np.ptp(states, axis=0), self.masses, period, self.model.angular)
-        closure = self.check(states[0], period, free, units)
+        closure = self.check(states[0], period, free, units, CLOSURE * self.grown)
         return closure <= CLOSURE * self.grown, closure
 
     def events(self, before: KeptPoint, after: KeptPoint, seen: Sequence[KeptPoint]) -> list[Event]:
@@ -435,8 +428,9 @@ def _again(family: Family, check: ImplicitCheck, event: Event) -> Check:
         seen = None if turns else gathered(model, event.state, event.period)[0]
         states = series(event.shooting_nodes, SAMPLED)
         units = extents_of(model, states, event.period)
-        closure = check(event.state, event.period, event.free, units)
-        if not closure <= CLOSURE * family.points[0].scale:
+        allowed = CLOSURE * family.points[0].scale
+        closure = check(event.state, event.period, event.free, units, allowed)
+        if not closure <= allowed:
             raise ConvergenceError(f"its orbit closes only to {closure:.2g}")
         if model.forced and abs(event.period / check.period(event.free) - 1.0) > ROUNDED:
             raise ConvergenceError(f"its period is not that of the drive at {family.parameter} {event.parameter:.12g}")
@@ -504,7 +498,14 @@ class _Direction:
             if self.points:
                 before = self.points[-1]
                 seen = [e for e in curve.events if before.point.arclength < e.point.arclength <= kept.point.arclength]
-                events = self.own.events(before, kept, seen)
+                try:
+                    events = self.own.events(before, kept, seen)
+                except UNSOLVED as error:  # costs these events, not the family
+                    said = (f"between {s.parameter} = {before.record.value:.12g} and {kept.record.value:.12g} events "
+                            f"are unknown: {error}")  # fmt: skip
+                    logging.getLogger(__name__).warning(said)
+                    self.own.undecided += (said,)
+                before.point.w.known.clear()  # factors of matrices, megabytes each
             self.points.append(kept)
             self.events += [replace(event, arclength=self.sign * event.arclength) for event in events]
             if progress:

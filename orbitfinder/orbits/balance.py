@@ -15,7 +15,7 @@ from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError
 from orbitfinder.integrate.residual import Residual
 from orbitfinder.loops.conditions import PHASE, Pin
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
-from orbitfinder.loops.problem import Guess, Problem, at_forcing_period
+from orbitfinder.loops.problem import Problem, at_forcing_period
 from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import Settings, Solver, full
@@ -26,7 +26,7 @@ from orbitfinder.orbits.guesses.modes import normal_modes
 from orbitfinder.orbits.guesses.settled import lap
 from orbitfinder.orbits.harmonics import Balanced, Coefficients, Fourier, Pattern, Phase, orders
 from orbitfinder.orbits.hill import exponents
-from orbitfinder.orbits.implicit import SMALL
+from orbitfinder.orbits.implicit import SMALL, stepped
 from orbitfinder.orbits.measure import action, provenance, recorded
 from orbitfinder.records.orbit import Orbit
 
@@ -95,7 +95,7 @@ def begun(problem: Problem, parameter: str, until: float | None = None) -> Point
         values = sizes * [0.0, 2 * np.pi / guess.period]
         wanted = next(iter(problem.pin), Pin(model.state_names[phase.coordinate], start[phase.coordinate]))
     failed = ConvergenceError("no guess leads to a motion; give a trajectory near it")
-    for top, (times, states) in product(FIRST, _trajectories(model, guess, n)):
+    for top, (times, states) in product(FIRST, _trajectories(problem, n)):
         basis = Fourier(orders(top, equations.odd))
         balanced = Balanced(Pattern(equations, basis), np.ones(n), sizes, np.ones(n), phase)
         angles, motion = 2 * np.pi * times / times[-1], states.T[:n]
@@ -117,13 +117,18 @@ def begun(problem: Problem, parameter: str, until: float | None = None) -> Point
     raise failed
 
 
-def _trajectories(model: Model, guess: Guess, n: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _trajectories(problem: Problem, n: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Times and states of what a motion may be near: the guess's own, and the linear response, of several sizes."""
+    model, guess = problem.model, problem.guess
     if guess.trajectory is not None:
         yield guess.trajectory
     elif n <= SMALL and np.any(guess.state):
         with suppress(*UNSOLVED):
-            yield cast(Any, lap(model, guess).trajectory)
+            if suits(problem):  # by steps that no fast mode limits
+                _, path = stepped(model, guess.start, guess.period)
+                yield np.linspace(0.0, guess.period, len(path)), path
+            else:
+                yield cast(Any, lap(model, guess).trajectory)
     if not model.forced:
         turn, (place, rate) = np.linspace(0.0, 2 * np.pi, SAMPLES + 1), np.split(guess.start, 2)
         swung = np.outer(np.cos(turn), place) + np.outer(np.sin(turn), rate * guess.period / (2 * np.pi))

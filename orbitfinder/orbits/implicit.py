@@ -348,6 +348,13 @@ def suits(model: Model, known: int) -> bool:
     return bool(plain and alone and large)
 
 
+def stepped(model: Model, state: np.ndarray, period: float) -> tuple[Implicit, np.ndarray]:
+    """The motions from states (2n) for a period, and roughly that from one. Raises `IntegrationError`."""
+    residual = Residual(model, cycles=model.forcing_cycles(period))
+    motion = Implicit(model, residual, residual.start if model.forced else np.array([0.0, 2 * np.pi / period]))
+    return motion, motion.path(state, period, STEPS, np.abs(state) + np.abs(state).max() + SETTLED)
+
+
 def gathered(model: Model, state: np.ndarray, period: float, damped: bool = False) -> tuple[Recomputed, float]:
     """What `Implicit` says of a state (2n) and a period; and how far half as many steps, those of the variations, end
     elsewhere, in extents. Raises `IntegrationError`.
@@ -355,9 +362,7 @@ def gathered(model: Model, state: np.ndarray, period: float, damped: bool = Fals
     Of what is said to be `damped` an energy is asked first. Where it tells, no variation is carried: no multipliers are
     known, the distance to the true orbit is the energy's bound, and A is taken for the least that it can be.
     """
-    residual, n = Residual(model, cycles=model.forcing_cycles(period)), model.degrees_of_freedom
-    motion = Implicit(model, residual, residual.start if model.forced else np.array([0.0, 2 * np.pi / period]))
-    rough = motion.path(state, period, STEPS, np.abs(state) + np.abs(state).max() + SETTLED)
+    (motion, rough), n = stepped(model, state, period), model.degrees_of_freedom
     units = extents_of(model, rough, period)
     steps, off = motion.steps(state, period)
     states = motion.path(state, period, 2 * steps, units)
@@ -406,10 +411,16 @@ class ImplicitCheck:
         """Of the motions there."""
         return 2 * float(np.pi) / self._at(free).pace
 
-    def __call__(self, state: np.ndarray, period: float, free: Mapping[str, float], units: np.ndarray) -> float:
-        """The largest gap after a period, in `units` (2n). Raises `IntegrationError`."""
-        path = self._at(free, period).path(state, period, STEPS, units)
-        return float(np.abs((path[-1] - path[0]) / units).max())
+    def __call__(
+        self, state: np.ndarray, period: float, free: Mapping[str, float], units: np.ndarray, allowed: float
+    ) -> float:
+        """The largest gap after a period, in `units` (2n), by more steps where it is not `allowed`. Raises
+        `IntegrationError`."""
+        motion, steps, gap = self._at(free, period), STEPS, np.inf
+        while gap > allowed and steps <= FINEST:
+            path = motion.path(state, period, steps, units)
+            gap, steps = float(np.abs((path[-1] - path[0]) / units).max()), 2 * steps
+        return gap
 
     def kept(
         self, state: np.ndarray, period: float, free: Mapping[str, float], units: np.ndarray, along: np.ndarray
