@@ -123,6 +123,17 @@ def test_what_mirrors_tell_of_an_orbit_with_a_double_unit_multiplier():
 
 
 @pytest.mark.slow
+def test_a_motion_on_which_double_precision_collides_is_certified():
+    """O_5(0.1) of X. Li, S. Liao, arXiv 2508.08568, from its eight digits; a hundred-millionth beside it nothing is."""
+    z, u, v, w, period = 0.80799207, 0.00382796, 0.0598614, 0.00397612, 29.56748228
+    places, rates = [[-1, 0, 0], [1, 0, 0], [0, 0, z]], [[u, v, w], [u, v, -w], [-20 * u, -20 * v, 0]]
+    model, state = of.bodies([1, 1, 0.1], places, rates)
+    orbit = of.find_orbit(of.Problem(model, of.Guess(state, period)))
+    assert orbit.certificate.passed, orbit.certificate.failures
+    assert not of.certify(replace(orbit, period=orbit.period * (1 + 1e-8)), model).passed
+
+
+@pytest.mark.slow
 def test_what_no_precision_closes_is_said(monkeypatch):
     """Errors on the way of butterfly IV grow to more than the motion; every method says why it stopped."""
     monkeypatch.setattr(refine, "wide", lambda *_: None)  # without a compiler

@@ -204,20 +204,27 @@ def canonical_motion(
     moments: np.ndarray,
     settings: ReferenceSettings,
     varied: ReferenceSettings = VARIED,
+    longer: bool = False,
 ) -> Motion:
-    """The `Motion` of a state (2n) at `moments` (from 0 to the period) by Hamilton's equations."""
+    """The `Motion` of a state (2n) at `moments` (from 0 to the period) by Hamilton's equations, in `longer` numbers
+    where double precision does not come through."""
     equations = Hamiltonian(model)
+    by, through = (extended(each) if longer else None for each in (equations.field, equations.variational))
     chosen, start = equations.coordinates.chosen, equations.start(state)
     first_order = model.rates is not None
     masses = np.zeros(0) if first_order else equations.masses(state[chosen])
-    units = units_of(equations.field, start, masses, period, model.angular)
-    path = integrate_in(
-        units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD, traces := list[Trace]()
-    )
+    units = units_of(equations.field, start, masses, period, model.angular, by)
+    if by is None:
+        path = integrate_in(
+            units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD, traces := list[Trace]()
+        )
+    else:
+        sums = by.along(units, start, moments, equations.field.free)
+        path, traces = sums[:, 0].astype(float), [_traced(equations.field, by, units, sums, moments)]
     half = start.size // 2
     if equations.field.stiff:  # nor does the interpreter follow its variations
         expect(equations.equations.variational, None, stiff=True)
-    transitions, nodes, action = _pieces(equations, start[None], units, period, varied)
+    transitions, nodes, action = _pieces(equations, start[None], units, period, through or varied)
     if not first_order:  # a gap dq adds p.dq: however large p is, the action of a small orbit is not that round-off
         missed = nodes[-1] - start - shift(turns[chosen[: masses.size]], start.size)
         action -= float(nodes[-1, half:] @ missed[:half])
@@ -239,9 +246,10 @@ def drifting(trace: Trace, turns: np.ndarray, units: np.ndarray) -> Trace:
 
 
 def units_of(
-    field: VectorField, start: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None = None
-) -> np.ndarray:
-    """Extents (m) of the motion in y = (q, p) from a start, by a quick integration.
+    field: VectorField, start: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None = None,
+    by: Extended | None = None,
+) -> np.ndarray:  # fmt: skip
+    """Extents (m) of the motion in y = (q, p) from a start, by a quick integration or in more digits.
 
     That one is measured in a first guess of them, |y| + T |y'| + T^2 |y''| at the start.
     """
@@ -255,7 +263,11 @@ def units_of(
         return np.array([field(0.0, state) for state in states])
 
     units = in_momenta(first, masses, period, angular, acting(rates, start[None]))
-    path = integrate_in(units, field, start, np.linspace(0.0, period, 65), ROUGH)
+    times = np.linspace(0.0, period, 65)
+    if by is None:
+        path = integrate_in(units, field, start, times, ROUGH)
+    else:
+        path = by.along(units, start, times, getattr(field, "free", None))[:, 0].astype(float)
     return known_in(path, masses, period, angular, acting(rates, path))
 
 
@@ -289,7 +301,7 @@ def _pieces(
         pieces.append(piece)
         nodes.append(end)
         action += done
-    return pieces, np.array(nodes), action
+    return pieces, np.array(nodes, float), action
 
 
 def varied_end(
@@ -500,13 +512,24 @@ def gather(
     """The `Evidence` of a state (2n) and a period (s), the motion's states at further `moments` with it, in long double
     also where there are `doubts` about nothing but the multipliers."""
     motion_of = system_kind(model.system).motion(model) or canonical_motion
-    motion = motion_of(model, state, period, turns, np.unique(np.append(evenly(period), moments)), settings)
+    given = model, state, period, turns, np.unique(np.append(evenly(period), moments)), settings
+    plain = motion_of is canonical_motion and np.size(state) <= MOST
+    try:
+        motion = motion_of(*given)
+    except IntegrationError:
+        if not plain or extended(Hamiltonian(model).field) is None:
+            raise
+        motion = canonical_motion(*given, longer=True)
     at = np.searchsorted(motion.times, evenly(period))
-    path, states = motion.path[at], motion.states[at]
-    moved = np.ptp(motion.reaching(path), axis=0)
-    units = in_momenta(moved, motion.masses, period, None, acting_in(model, path))
-    loop = _looped(model, motion, units, path, period)
-    plain = motion_of is canonical_motion and units.size <= MOST
+
+    def looped() -> tuple[np.ndarray, np.ndarray, Tour]:
+        path = motion.path[at]
+        moved = np.ptp(motion.reaching(path), axis=0)
+        units = in_momenta(moved, motion.masses, period, None, acting_in(model, path))
+        return motion.states[at], units, _looped(model, motion, units, path, period)
+
+    states, units, loop = looped()
+    plain = plain and units.size <= MOST
     for quadruple in (False, True):
         told = motion.precise * regrown(loop.pieces) <= KEPT  # or round-off is more than what is asked of Phi
         if not plain or (told and loop.closes.distance >= FALSE):
@@ -516,8 +539,8 @@ def gather(
         with suppress(IntegrationError):
             sharp = _sharpened(model, motion, units, quadruple)
             if sharp is not motion:
-                motion, path, states = sharp, sharp.path[at], sharp.states[at]
-                loop = _looped(model, motion, units, path, period)
+                motion = sharp
+                states, units, loop = looped()
     # the largest |Phi(t, s)| between the ends of any two pieces
     count, size = len(loop.pieces), len(loop.pieces[0])
     norms, wholes = np.ones((count + 1, count + 1)), np.empty((0, size, size))
@@ -855,7 +878,10 @@ def second_closure(
     span = np.array([begin, begin + period])
     if precise < EPSILON and (by := extended(field, precise < ROUND_OFF)):
         return gap(state, by.end(units, state, span, field.free), turns, units)
-    return gap(state, integrate_in(units, field, state, span, SECOND)[-1], turns, units)
+    try:
+        return gap(state, integrate_in(units, field, state, span, SECOND)[-1], turns, units)
+    except IntegrationError:
+        return np.inf
 
 
 def native_closure(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:
