@@ -366,33 +366,28 @@ class CompiledField:
 
         A field that is too stiff for it is integrated at the limit of stability, by a library alone.
         """
-        steps = self._integrated(span, start, tolerances, longest, most, noted, interpreted)
+        fast, given, steps = self.library(), (tolerances, longest, most, noted), None
+        if fast is not None:
+            steps = (self._patient(fast, span, start, *given) if self._work.stiff else
+                     fast.integrated(span, start, self._units, self.free, *given))  # fmt: skip
+            if self._work.asked() and not self._agrees(
+                fast, np.array([span[0], steps.time]), np.array([start, steps.state])
+            ):
+                self._work.doubted()
+                steps = None
+        if steps is None:
+            with self._work.interpreted():
+                steps = interpreted()
         if steps.code != STIFF:
             return steps
         self._work.spent, self._work.stiff = np.inf, True
         fast = self.library()
-        return steps if fast is None else self._patient(fast, span, start, tolerances, longest, most, noted)
+        return steps if fast is None else self._patient(fast, span, start, *given)
 
     def _patient(self, fast: Library, span: tuple[float, float], *given: Any) -> Steps:
         start, tolerances, longest, most, noted = given
         most *= PATIENT
         return fast.integrated(span, start, self._units, self.free, tolerances, longest, most, noted, True)
-
-    def _integrated(
-        self, span: tuple[float, float], start: np.ndarray, tolerances: tuple[float, float], longest: float,
-        most: int, noted: bool, interpreted: Callable[[], Steps],
-    ) -> Steps:  # fmt: skip
-        fast, given = self.library(), (tolerances, longest, most, noted)
-        if fast is not None:
-            steps = (self._patient(fast, span, start, *given) if self._work.stiff else
-                     fast.integrated(span, start, self._units, self.free, *given))  # fmt: skip
-            if not self._work.asked() or self._agrees(
-                fast, np.array([span[0], steps.time]), np.array([start, steps.state])
-            ):
-                return steps
-            self._work.doubted()
-        with self._work.interpreted():
-            return interpreted()
 
     def _agrees(self, fast: Library, times: np.ndarray, states: np.ndarray) -> bool:
         """Whether the library's rates are the interpreter's."""

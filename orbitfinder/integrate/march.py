@@ -79,6 +79,7 @@ class March:
         self.field, self.forced, self.integrand, self._effort = field, forced, integrand, effort
         self.size, self.unfolding, self.free = (int(field.size1_in(k)) for k in (1, 2, 3))
         self._lanes, self._kernels = Lanes(alone), dict[bool, Kernel | None]()
+        self._steps = dict[tuple[bool, bool], ca.Function]()
 
     @property
     def arcs(self) -> tuple[March, ...]:
@@ -108,26 +109,17 @@ class March:
         given = [inputs[0], ca.vertcat(inputs[1], added), *inputs[2:]]
         return ca.Function("carried", given, [ca.vertcat(self.field(*inputs), self.integrand(*inputs))])
 
-    @cached_property
-    def _step(self) -> ca.Function:
-        return compiled(step_of(self._carried), effort=self._effort)
-
-    @cached_property
-    def _varied_step(self) -> ca.Function:
-        return compiled(step_of(self._varied), effort=self._effort)
-
-    @cached_property
-    def _error(self) -> ca.Function:
-        return compiled(step_of(self._carried, True), effort=self._effort)
-
-    @cached_property
-    def _varied_error(self) -> ca.Function:
-        return compiled(step_of(self._varied, True), effort=self._effort)
+    def _step(self, varied: bool, error: bool = False) -> ca.Function:
+        """A step with variations or without, or its error, compiled at first use."""
+        if (varied, error) not in self._steps:
+            step = step_of(self._varied if varied else self._carried, error)
+            self._steps[varied, error] = compiled(step, effort=self._effort)
+        return self._steps[varied, error]
 
     def build(self) -> None:
         """Derive and compile now what integrates states and derivatives, not at first use."""
         self.ahead()
-        assert (self._kernel(False) or self._step) and (self._kernel(True) or self._varied_step)
+        assert (self._kernel(False) or self._step(False)) and (self._kernel(True) or self._step(True))
 
     def _kernel(self, varied: bool, segments: int = 0) -> Kernel | None:
         """What marches in lanes, with variations or without; decided at first use, for good."""
@@ -175,7 +167,7 @@ class March:
             own = zip(start, np.split(parameters, begins[1:-1]), strict=True)
             each = [self._marched(varied, begun[None], given, kept) for begun, given in own]
             return np.concatenate([end for end, _ in each]), np.concatenate([path for _, path in each])
-        step = self._varied_step if varied else self._step
+        step = self._step(varied)
         own = zip(np.split(start, loops), np.split(parameters, loops), strict=True)
         path = np.concatenate([self._lanes.marched(step, *each, bool(kept)) for each in own])
         steps = len(parameters) // len(start) if kept else 1
@@ -319,7 +311,7 @@ class March:
         quick = self._kernel(varied)
         if quick is not None:
             return quick.errors(starts, parameters)
-        return self._lanes.evaluated(self._varied_error if varied else self._error, STAGES, starts, parameters)
+        return self._lanes.evaluated(self._step(varied, True), STAGES, starts, parameters)
 
     @cached_property
     def _none(self) -> np.ndarray:

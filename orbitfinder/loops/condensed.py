@@ -151,7 +151,7 @@ def pivoted(system: Linearised, columns: np.ndarray | None = None) -> Solver:
         factors = splu(system.sparse())
     except RuntimeError as error:
         raise np.linalg.LinAlgError(str(error)) from None
-    return lambda rows: -np.asarray(factors.solve(rows))
+    return lambda rows: -factors.solve(rows)
 
 
 def eliminated(system: Linearised) -> Solver:
@@ -190,7 +190,7 @@ def _solver(matrix: np.ndarray) -> Solver:
     if matrix.shape[0] == matrix.shape[1]:
         factors, order, fault = dgetrf(matrix)
         if not fault and dgecon(factors, dlange("1", matrix))[0] > CUTOFF:
-            return lambda rows: np.asarray(dgetrs(factors, order, rows)[0])
+            return lambda rows: dgetrs(factors, order, rows)[0]
     return least_squares(matrix, CUTOFF)
 
 
@@ -240,7 +240,7 @@ def factorised(matrix: Jacobian, nodes: tuple[int, ...] = (1, 0)) -> Solver:
             sparse = splu(csc_matrix(matrix))
         except RuntimeError as error:
             raise np.linalg.LinAlgError(str(error)) from None
-        return lambda right: np.asarray(sparse.solve(right))
+        return lambda right: sparse.solve(right)
     return _pivoted(matrix)
 
 
@@ -249,7 +249,7 @@ def _pivoted(matrix: np.ndarray) -> Solver:
     factors, order, fault = dgetrf(matrix)
     if fault:
         raise np.linalg.LinAlgError("singular matrix")
-    return lambda right: np.asarray(dgetrs(factors, order, right)[0])
+    return lambda right: dgetrs(factors, order, right)[0]
 
 
 def _parts(matrix: np.ndarray, count: int, size: int) -> Linearised:

@@ -294,10 +294,12 @@ def conserved(value: float, name: str, number: int) -> Condition:
         _, by_state, by_free = equations.quantities_at(w)
         return w.spread(np.concatenate([by_state[number], [0.0], by_free[number]]))
 
-    def expression(equations: Equations, nodes: Sequence[ca.MX], _: ca.MX, free: ca.MX) -> ca.MX:
-        return levels(equations.model, nodes[0], equations.model.parameters(equations.free, free))[number]
-
-    return Condition(name, value, lambda equations, w: float(equations.quantities_at(w)[0][number]), slope, expression)
+    return Condition(
+        name, value, lambda equations, w: float(equations.quantities_at(w)[0][number]), slope,
+        lambda equations, nodes, _, free: levels(
+            equations.model, nodes[0], equations.model.parameters(equations.free, free)
+        )[number],
+    )  # fmt: skip
 
 
 def clock(equations: Equations, cycles: int) -> tuple[Condition, ...]:

@@ -232,11 +232,6 @@ def begins(curve: Curve, jacobian: Jacobian) -> bool:
     return not (isinstance(jacobian, Linearised) and curve.equations.gridded)
 
 
-def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost: np.ndarray) -> np.ndarray:
-    """The rows of the curve and the aim, without what may be round-off."""
-    return beyond(curve.rows(w, ends, aim), lost)
-
-
 def _approached(
     curve: Curve, guess: Unknowns, aim: Condition, matrix: Jacobian, measures: tuple[np.ndarray, np.ndarray],
     fit: Callable[[Solution], np.ndarray] | None,
@@ -283,7 +278,7 @@ def _stepped(
     kept, best, (units, lost) = w, np.inf, measures
     for _ in range(CORRECTOR.most_newton):
         try:
-            rows = _all_rows(curve, w, curve.equations.ends(w), aim, lost)
+            rows = beyond(curve.rows(w, curve.equations.ends(w), aim), lost)
         except IntegrationError:
             break
         largest = float(np.abs(rows / units).max())
@@ -376,7 +371,7 @@ def _correcting(
         w = _approached(curve, guess, aim, bordered(slope, slopes[-1]), (units, lost), better)
     for iteration in range(CORRECTOR.most_newton):
         path = yield w
-        rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), jacobian_of(curve, w, path)
+        rows, jacobian = beyond(curve.rows(w, path.ends, aim), lost), jacobian_of(curve, w, path)
         if border is not None:
             rows = np.concatenate([rows[:-1], [border.value(Solution(w, path, jacobian, 0.0))], rows[-1:]])
         largest = max(float(np.abs(rows / units).max()), path.change)
@@ -478,11 +473,11 @@ def _solver(curve: Curve, w: Unknowns, jacobian: Jacobian, row: np.ndarray) -> S
         try:
             return _factorised(curve, w, system)
         except np.linalg.LinAlgError:
-            return lambda right: np.asarray(np.linalg.lstsq(dense(system), right, rcond=1e-12)[0])
+            return lambda right: np.linalg.lstsq(dense(system), right, rcond=1e-12)[0]
     measured = dense(system) * columns
     rows = nonzero(np.linalg.norm(measured, axis=1))
     left, sizes, across = np.linalg.svd(measured / rows[:, None])
-    return lambda right: np.asarray(columns * (across[:-1].T @ ((left.T @ (right / rows))[:-1] / sizes[:-1])))
+    return lambda right: columns * (across[:-1].T @ ((left.T @ (right / rows))[:-1] / sizes[:-1]))
 
 
 def _factorised(curve: Curve, w: Unknowns, matrix: Jacobian) -> Solver:
@@ -557,7 +552,7 @@ def _iterated(curve: Curve, solution: Solution) -> np.ndarray | None:
     grown = [np.linalg.norm(solver(rows * random.normal(size=unit.size)) / units) for _ in range(CORRECTOR.iterations)]
     whole = units * whole
     known = CORRECTOR.dependent * max(grown) < 1.0  # not so of what is no number
-    return np.asarray(whole / np.sqrt(curve.scales.metric(w) @ whole**2)) if known else None
+    return whole / np.sqrt(curve.scales.metric(w) @ whole**2) if known else None
 
 
 def crossed(curve: Curve, solution: Solution, share: float = CRITICAL) -> bool:
@@ -663,4 +658,4 @@ def bend(curve: Curve, w: Unknowns, whole: np.ndarray, other: Unknowns) -> np.nd
     if moved is None:
         return np.zeros_like(whole)
     along = float((curve.scales.metric(w) * whole) @ moved)
-    return np.asarray((moved - along * whole) / along**2) if abs(along) > 1e-9 else np.zeros_like(whole)
+    return (moved - along * whole) / along**2 if abs(along) > 1e-9 else np.zeros_like(whole)

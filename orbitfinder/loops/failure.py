@@ -84,8 +84,8 @@ def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
     for name, value, lowest, highest in bounds:
         if min(value - lowest, highest - value) < 1e-3 * (highest - lowest):
             return f"{name} ran to the end of its range ({value:.4g}); give a guess nearer to an orbit or free another"
-    if _energy_gap(shooting):
-        return _energy_gap(shooting)
+    if far := _energy_gap(shooting):
+        return far
     if defects.max() < 1e-6 and reached.period * np.max(np.abs(reached.unfolding), initial=0.0) > SIGNS.no_unfolding:
         return (
             "it closes only with the fictitious damping of the unfolding, so no such orbit exists at this pin near "
@@ -128,10 +128,12 @@ def _turning(shooting: Shooting, w: np.ndarray) -> str:
     model, reached = shooting.problem.model, shooting.at(w)
     n = model.degrees_of_freedom
     turns = [invariant for invariant in model.invariants if invariant.generator is not None]
+    if not turns:
+        return ""
     p = model.parameter_values.copy()
     p[[model.parameter_index(name) for name in shooting.loop.equations.free]] = reached.free
-    left = 1.0 if not turns else 0.0
-    for node in reached.nodes if turns else ():
+    left = 0.0
+    for node in reached.nodes:
         along = np.column_stack([turn.generator(node[:n], node[n:], p).full() for turn in turns])  # type: ignore[misc]
         rate = shooting.flow.field(0.0, node, 0 * reached.unfolding, reached.free).full().ravel()
         missed = rate - along @ np.linalg.lstsq(along, rate, rcond=None)[0]

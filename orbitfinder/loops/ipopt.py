@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -15,6 +14,7 @@ from orbitfinder._runtime.quiet import captured
 from orbitfinder.integrate.cvodes import IntegratorSettings
 from orbitfinder.loops.failure import explain, refuse_equilibrium
 from orbitfinder.loops.shooting import Shooting
+from orbitfinder.records.reading import Entries
 
 STALLED = {
     "acceptable_tol": 1e-6, "acceptable_iter": 10, "acceptable_constr_viol_tol": 1e-9, "acceptable_compl_inf_tol": 1e-7,
@@ -149,7 +149,7 @@ def solve_nlp(
     return w
 
 
-def minimiser(name: str, program: dict[str, ca.MX], ipopt: dict[str, Any], options: dict[str, Any]) -> ca.Function:
+def minimiser(name: str, program: dict[str, ca.MX], ipopt: Entries, options: Entries) -> ca.Function:
     """IPOPT with its options and CasADi's, for any numbers that the program is given."""
     own = {"print_level": 0, "sb": "yes", "acceptable_iter": 0, "bound_relax_factor": 0.0} | ipopt
     whole = {"print_time": False, "error_on_fail": False, "ipopt": own} | options
@@ -157,14 +157,14 @@ def minimiser(name: str, program: dict[str, ca.MX], ipopt: dict[str, Any], optio
         return ca.nlpsol(name, "ipopt", program, whole)
 
 
-def minimised(solver: ca.Function, **given: np.ndarray) -> tuple[np.ndarray, dict[str, Any], str]:
+def minimised(solver: ca.Function, **given: np.ndarray) -> tuple[np.ndarray, Entries, str]:
     """What IPOPT ends at, its statistics, and what it printed."""
     with captured() as output, limit.alarm():
         answer, stats = solver(**given), solver.stats()
     return answer["x"].full().ravel(), stats, output.text
 
 
-def _options(shooting: Shooting, settings: SolveSettings) -> tuple[dict[str, Any], dict[str, Any]]:
+def _options(shooting: Shooting, settings: SolveSettings) -> tuple[Entries, Entries]:
     """IPOPT's options; the Hessian is explicit where its structure is known and L-BFGS elsewhere, never exact."""
     ipopt = {"tol": settings.ipopt_tolerance, "mu_init": 1e-8, "max_iter": settings.max_iterations}
     if not shooting.square and (shooting.inequalities.numel() or shooting.problem.objective != "nearest"):

@@ -250,7 +250,7 @@ class Equations:
 
     def aimed(self, constant: np.ndarray) -> np.ndarray:
         """P c of the boundary rows' constants (d)."""
-        return constant if self.asked is None else np.asarray(self.asked @ constant)
+        return constant if self.asked is None else self.asked @ constant
 
     @cached_property
     def quantities(self) -> ca.Function:
@@ -288,26 +288,18 @@ class Equations:
 
     def watched(self, function: ca.Function, states: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A guard, or what else is a function (x, p), at states (k x d): its values (k) and slopes (k x d)."""
-        key = id(function)
-        if key not in self._watched:
+        key = "watched", id(function)
+        if key not in self.derived:
             x, chosen = ca.MX.sym("x", self.size), ca.MX.sym("free", len(self.free))
             value = function(x, self.model.parameters(self.free, chosen))
             rows = ca.densify(ca.vertcat(value, ca.jacobian(value, x).T))
-            self._watched[key] = ca.Function("watched", [x, chosen], [rows])
-        both = self.march.arcs[0].along(self._watched[key], states, np.atleast_2d(free))
+            self.derived[key] = ca.Function("watched", [x, chosen], [rows])
+        both = self.march.arcs[0].along(self.derived[key], states, np.atleast_2d(free))
         return both[:, 0], both[:, 1:]
 
     @cached_property
-    def _known(self) -> dict[str, tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-        return {}
-
-    @cached_property
-    def _watched(self) -> dict[int, ca.Function]:
-        return {}
-
-    @cached_property
     def derived(self) -> dict[Any, Any]:
-        """What conditions have derived for themselves, so that it is once."""
+        """What is derived for conditions and guards, so that it is once, and the quantities of the last w."""
         return {}
 
     @property
@@ -322,11 +314,12 @@ class Equations:
 
     def quantities_at(self, w: Unknowns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Their values (k) at x(0), their derivatives by the state and by freed parameters; not to be written to."""
-        known = self._known.get("quantities")
-        if known is None or known[0] is not w.vector:  # asked for row by row, on one mesh after another
-            values, slopes, by_free = self.march.at(self.quantities, w.nodes[0], w.free)
-            known = self._known["quantities"] = w.vector, (values.ravel(), slopes, by_free)
-        return known[1]
+        vector, *known = self.derived.get("quantities", (None,))
+        if vector is not w.vector:  # asked for row by row, on one mesh after another
+            known = self.march.at(self.quantities, w.nodes[0], w.free)
+            self.derived["quantities"] = w.vector, *known
+        values, slopes, by_free = known
+        return values.ravel(), slopes, by_free
 
     def momentum_slopes(self, x: np.ndarray, free: np.ndarray) -> np.ndarray:
         """The Jacobian (d x d) of (q, momentum) in (q, v) at one state."""

@@ -60,7 +60,7 @@ class MeshSettings:
 MESH = MeshSettings()
 
 
-def needs_mesh(curve: Curve, solution: Solution, every: int = MESH.sampled) -> bool:
+def needs_mesh(curve: Curve, solution: Solution, every: int) -> bool:
     """Whether the mesh is too coarse, or a segment too unstable for a point, by one in so many steps."""
     if march := curve.equations.gridded:
         return not march.fits(solution.place.nodes, solution.place.mesh, solution.place.tail)
@@ -184,7 +184,7 @@ def stepped(equations: Equations, place: Unknowns, units: np.ndarray) -> Unknown
     values = dict(zip(equations.free, place.free.tolist(), strict=True))
     field = vector_field(accelerations(with_parameters(equations.model, values)))
     for node, span in zip(place.nodes, pairwise(place.edges * place.period), strict=True):
-        traces: list[Trace] = []
+        traces = list[Trace]()
         integrate_in(units, field, node, np.linspace(*span, 3), settings, traces=traces)
         pieces.append(traces[0].moments / place.period)
     each = _rounded(max(piece.size - 1 for piece in pieces))

@@ -84,26 +84,18 @@ def graded_end(
     for _ in range(MOST_PIECES):
         last = length >= span[1] - now
         length = min(length, span[1] - now)
-        after = _agreed(field, state, (now, length), tail, units)
-        if after is None:
+        try:
+            coarse, fine = (march(field, state, length, count, tail, now)[-1] for count in (PIECE, 2 * PIECE))
+            agreed = agree(coarse, fine, units)
+        except IntegrationError:  # they leave the numbers
+            agreed = False
+        if not agreed:
             length /= 2
         elif last:
-            return after
+            return np.asarray(fine)
         else:
-            state, now, length = after, now + length, 2 * length
+            state, now, length = fine, now + length, 2 * length
     return None
-
-
-def _agreed(
-    field: ca.Function, state: np.ndarray, piece: tuple[float, float], tail: np.ndarray, units: tuple[float, ...]
-) -> np.ndarray | None:
-    """The state after a piece (start, length) in s; None where 8 and 16 steps disagree or leave the numbers."""
-    now, length = piece
-    try:
-        coarse, fine = (march(field, state, length, count, tail, now)[-1] for count in (PIECE, 2 * PIECE))
-    except IntegrationError:
-        return None
-    return fine if agree(coarse, fine, units) else None
 
 
 def residual(shooting: Shooting, w: Unknowns) -> np.ndarray:

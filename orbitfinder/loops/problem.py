@@ -203,8 +203,8 @@ class Problem(Shown):
         # guessed values of freed parameters, and pins of others, become the model's
         check_guessed(self.guess, self.free)
         pinned = {pin.name: pin.value for pin in self.pin if is_parameter(self.model, pin.name)}
-        fixed = {name: value for name, value in pinned.items() if name not in self.free}
-        values = {**{name: float(value) for name, value in self.guess.free.items()}, **pinned}
+        fixed = pinned.keys() - set(self.free)
+        values = {name: float(value) for name, value in self.guess.free.items()} | pinned
         if values:
             object.__setattr__(self, "model", with_parameters(self.model, values))
             object.__setattr__(self, "guess", replace(self.guess, free={}))
@@ -350,8 +350,7 @@ def at_forcing_period(problem: Problem) -> Problem:
 
 
 def _check(problem: Problem) -> None:
-    model, guess = problem.model, problem.guess
-    state = guess.start
+    model, state = problem.model, problem.guess.start
     _check_state(model, state)
     _check_relative(problem)
     symmetry = problem.boundary

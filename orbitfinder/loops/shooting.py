@@ -220,17 +220,17 @@ def _objective(problem: Problem, known: Variables) -> tuple[ca.MX, ca.MX]:
 
 def _inequalities(problem: Problem, known: Variables) -> tuple[ca.MX, np.ndarray, np.ndarray]:
     """h with its limits: constraints with room, and bounds on what is not an unknown itself."""
-    rows = [ca.MX(0, 1)]
-    low: list[float] = []
-    high: list[float] = []
+    rows, low, high = [ca.MX(0, 1)], [], []
     for name, (smallest, largest) in problem.bounds.items():
         if name != "period" and name not in problem.free:
             rows.append(known[name])
-            low, high = [*low, smallest], [*high, largest]
+            low.append(smallest)
+            high.append(largest)
     for constraint in problem.constraints:
         if not constraint.equation:
             rows.append(constraint.value(known))
-            low, high = [*low, *[constraint.lower] * constraint.rows], [*high, *[constraint.upper] * constraint.rows]
+            low += [constraint.lower] * constraint.rows
+            high += [constraint.upper] * constraint.rows
     return ca.vertcat(*rows), np.asarray(low, float), np.asarray(high, float)
 
 
@@ -251,9 +251,9 @@ def _rows(loop: Loop, problem: Problem, known: Variables, tail: list[ca.MX], far
 
 def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | None:
     """The guess's state at the end of the horizon, where the boundary rows need it: the other instant of symmetry."""
-    constrained = problem.model.constraint is not None and problem.boundary.reverses
-    if not problem.boundary.asks_where(problem.model.degrees_of_freedom) and not constrained:
-        return None
+    symmetry, n = problem.boundary, problem.model.degrees_of_freedom
+    if not symmetry.reverses or (problem.model.constraint is None and not np.any(symmetry.rows(n)[1][:, :n])):
+        return None  # no row holds coordinates there
     duration = problem.guess.period * problem.boundary.fraction / len(nodes)
     return end_state(flow, nodes[-1], duration, (len(nodes) - 1) * duration)
 

@@ -205,10 +205,6 @@ class Symmetry:
         first = self.rows(n)[0]
         return np.any(first != 0, axis=0) if self.reverses else np.zeros(len(first), bool)
 
-    def asks_where(self, n: int) -> bool:
-        """True when the rows hold coordinates at the end of the part, so that it must be known which half turns."""
-        return self.reverses and bool(np.any(self.rows(n)[1][:, :n]))
-
     def constants(
         self,
         angles: np.ndarray,
@@ -642,17 +638,14 @@ def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
     known = {signs for _, sense, signs in model.symmetries if sense < 0}
     states *= np.array([lengths, lengths / clock])
 
-    def kept(candidate: Involution) -> bool:
-        return all(
-            apart <= RECOGNISED.mirrored * size
-            for apart, size in (_apart(model, candidate, (0.0, *x), 0.0, lengths) for x in states)
-        )
-
     mirrors = []
     for signs in product((1, -1), repeat=n):
         turned = [name for name, sign in zip(model.coordinates, signs, strict=True) if sign < 0]
         candidate = Involution("-".join(["mirror", *turned]), -1, signs)
-        if len(set(signs)) > 1 and signs not in known and kept(candidate):
+        if len(set(signs)) < 2 or signs in known:
+            continue
+        pairs = (_apart(model, candidate, (0.0, *x), 0.0, lengths) for x in states)
+        if all(apart <= RECOGNISED.mirrored * size for apart, size in pairs):
             mirrors.append(candidate)
     alone = len(mirrors) + len(model.symmetries) < 2
     return tuple(replace(each, name="mirror") for each in mirrors) if alone else tuple(mirrors)

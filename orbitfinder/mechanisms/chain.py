@@ -301,7 +301,7 @@ def dae_chain(symbols: ChainSymbols) -> ca.Function:
     model, count = maximal_chain(symbols, {}, Baumgarte()), len(symbols.links)
     constraint, n = constraint_of(model), model.degrees_of_freedom
     assert constraint.lift is not None
-    symbol: Any = symbol_of(constraint.algebraic)
+    symbol = symbol_of(constraint.algebraic)
     t, q, v, p = symbol("t"), symbol("q", count), symbol("v", count), symbol("p", model.parameter_values.size)
     state = constraint.lift(q, v, p)
     return ca.Function("acceleration", [t, q, v, p], [constraint.algebraic(t, state[:n], state[n:], p)[2:n:3]])

@@ -115,7 +115,7 @@ class ChainLagrange:
         """Phi in the coordinates of `momentum_frame` between two states, from variations (2n x 2n) of the modes."""
         modes = np.kron(np.eye(2), self.modes)
         first, last = self.momentum_frame(before) @ modes, self.momentum_frame(after) @ columns
-        return np.asarray(np.linalg.solve(first.T, last.T).T)
+        return np.linalg.solve(first.T, last.T).T
 
     def canonical(self, states: np.ndarray) -> np.ndarray:
         """(eta, pi) along states (k x 2n): the coordinates of `momentum_frame`."""
@@ -194,7 +194,7 @@ class _ClosedField(CompiledField):
     def rate(self) -> VectorField:
         """The field without its library."""
         field, units = self._field, self._units
-        return field if units is None else lambda t, y: np.asarray(field(t, y * units) / units)
+        return field if units is None else lambda t, y: field(t, y * units) / units
 
     def within(self, units: np.ndarray) -> _ClosedField:
         """The same in units (n)."""

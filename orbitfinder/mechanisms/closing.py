@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -320,13 +319,9 @@ def _weakest(model: Model, place: np.ndarray, rest: Sequence[int]) -> str:
     return closure.joint(int(np.abs(np.linalg.svd(closure.slopes(place)[:, rest])[0][:, -1]).argmax()))
 
 
-def _put_together(model: Model, *given: Any, branch: int | None = None, **more: Any) -> np.ndarray:
-    del branch  # a pose says it
-    return mechanism_state(model, *given, **more)
-
-
 JOINED = Loops(
-    _put_together, lambda model, near: [mechanism_state(model, near=near)[: model.degrees_of_freedom]],
+    lambda model, *given, branch=None, **more: mechanism_state(model, *given, **more),  # a pose says the branch
+    lambda model, near: [mechanism_state(model, near=near)[: model.degrees_of_freedom]],
     lambda model: range(model.degrees_of_freedom), _margins, _at_dead_point, _in_all,
     lambda model, chosen, near: minimal_mechanism(model, [model.state_names[k] for k in chosen], near),
 )  # fmt: skip

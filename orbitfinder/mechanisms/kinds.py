@@ -23,10 +23,6 @@ def _built(builder: Callable[..., Model], system: Table, *without: str) -> Model
     return builder(**{key: value for key, value in system.items() if key not in ("kind", *without)})
 
 
-def _chain(system: Table, _: Path | None) -> Model:
-    return _built(chain_dae, system, "formulation") if "baumgarte" in system else _built(chain, system)
-
-
 def _linkage(system: Table, _: Path | None) -> Model:
     model = _built(linkage, system, "independent", "branch")
     chosen = system.get("independent")
@@ -53,7 +49,8 @@ def _bars(system: Table) -> str:
 
 KINDS.update(
     chain=SystemKind(
-        _chain, _pendulum, takes=chain, reread=True, pendulum=True, joints=lambda system: int(system["links"]),
+        lambda system, _: _built(chain_dae, system, "formulation") if "baumgarte" in system else _built(chain, system),
+        _pendulum, takes=chain, reread=True, pendulum=True, joints=lambda system: int(system["links"]),
         motion=motion_of, field=field_of, works=works_of,
     ),
     linkage=SystemKind(

@@ -97,7 +97,7 @@ def linkage(
     stabilisation = baumgarte_of(baumgarte, Baumgarte(10.0, 10.0))
     system |= {
         "kind": "linkage",
-        "ground": [float(value) for value in pivot],
+        "ground": pivot.tolist(),
         "baumgarte": [stabilisation.alpha, stabilisation.beta],
     }
     check_closable(lengths, pivot)

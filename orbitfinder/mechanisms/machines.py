@@ -11,7 +11,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.first_order import Named
-from orbitfinder.mechanics.hybrid import Expression, Impact, Mode, Transition, changed, hybrid, impact
+from orbitfinder.mechanics.hybrid import Expression, Mode, Transition, changed, hybrid, impact
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanisms.library import Ingredients, ingredients, whole_number
 
@@ -153,9 +153,12 @@ class _Kneed(_Legs):
             self.corners[2:2] = [head, self.hip]
 
 
-def _struck(lifted: Model, foot: ca.Function, *held: str) -> tuple[Impact, Callable[[Named], Named]]:
-    """The impact of a swing foot without slip or bounce, coordinates `held` equal, of a walker whose state has the
-    stance foot's place and velocity too; and such a state of one that has not."""
+def _struck(lifted: Model, foot: ca.Function, order: Sequence[int], *held: str) -> dict[str, Any]:
+    """Reset, impulse and loss of a swing foot's impact without slip or bounce, coordinates `held` equal.
+
+    The `lifted` walker has the stance foot's place and velocity in its state too; `order` picks from that the walker's
+    own state after the legs have changed their names.
+    """
     count = lifted.degrees_of_freedom
 
     def contact(x: Named, p: Named) -> list[Any]:
@@ -165,7 +168,12 @@ def _struck(lifted: Model, foot: ca.Function, *held: str) -> tuple[Impact, Calla
     def whole(x: Named) -> Named:
         return Named.of(lifted.state_names, ca.vertcat(0, 0, *x[: count - 2], 0, 0, *x[count - 2 :]))
 
-    return impact(lifted, contact), whole
+    struck = impact(lifted, contact)
+    return {
+        "reset": lambda x, p: struck.after(whole(x), p)[order],
+        "impulse": lambda x, p: struck.impulse(whole(x), p),
+        "lost": lambda x, p: struck.lost(whole(x), p),
+    }
 
 
 def compass_gait(
@@ -198,17 +206,11 @@ def compass(function: str, given: Mapping[str, float], controls: tuple[str, ...]
     model = fixed.model(names=names, angles=[True, True], points=drawn, **torques)
     lifted = floating.model(names=["x", "y", *names], angles=[False, False, True, True])
     foot, force = fixed.swing_foot(), fixed.ground_force(model)
-    struck, whole = _struck(lifted, floating.swing_foot())
-
-    def after(x: Named, p: Named) -> Any:
-        state = struck.after(whole(x), p)
-        return ca.vertcat(state[3], state[2], state[7], state[6])
-
     strikes = Transition(
-        "strike", "step", "step", guard=lambda x, p: x.stance + x.swing + 2 * p.slope, reset=after,
+        "strike", "step", "step", guard=lambda x, p: x.stance + x.swing + 2 * p.slope,
         allowed=lambda x, p: x.swing - x.stance, ignored=SCUFFING,
-        impulse=lambda x, p: struck.impulse(whole(x), p), lost=lambda x, p: struck.lost(whole(x), p),
         advance=lambda x, p: _downwards(foot(ca.vertcat(*x[:2]), ca.vertcat(*p))),
+        **_struck(lifted, floating.swing_foot(), [3, 2, 7, 6]),
     )  # fmt: skip
     return _machine([Mode("step", model, force)], [strikes], _slope)
 
@@ -272,15 +274,10 @@ def _on_knees(function: str, given: Mapping[str, float]) -> Model:
     free = fixed.model(**drawn)
     locked = fixed.model(**drawn, forces=_locking(free, fixed.made))
     lifted = floating.model(names=["x", "y", *names], angles=[False] * 2 + [True] * 3)
-    struck, whole = _struck(lifted, floating.swing_foot(), "thigh", "shank")
     straight, foot = impact(free, lambda x, p: x.thigh - x.shank), fixed.swing_foot()
 
     def height(x: Named, p: Named) -> Any:
         return ca.dot(_normal(p), foot(ca.vertcat(*x[:3]), ca.vertcat(*p)))
-
-    def after(x: Named, p: Named) -> Any:
-        state = struck.after(whole(x), p)
-        return ca.vertcat(state[3], state[2], state[2], state[8], state[7], state[7])
 
     transitions = [
         Transition(
@@ -288,9 +285,9 @@ def _on_knees(function: str, given: Mapping[str, float]) -> Model:
             lost=straight.lost,
         ),
         Transition(
-            "strike", "locked", "free", guard=height, reset=after, impulse=lambda x, p: struck.impulse(whole(x), p),
-            lost=lambda x, p: struck.lost(whole(x), p),
+            "strike", "locked", "free", guard=height,
             advance=lambda x, p: _downwards(foot(ca.vertcat(*x[:3]), ca.vertcat(*p))),
+            **_struck(lifted, floating.swing_foot(), [3, 2, 2, 8, 7, 7], "thigh", "shank"),
         ),
     ]  # fmt: skip
     modes = [
@@ -416,25 +413,24 @@ def slip_walker(
         """(right, up) of the mass from the feet on the ground."""
         return [ca.vertcat(x.x, x.y), ca.vertcat(x.x + x.step, x.y)][: 1 + double]
 
-    def energy(x: Named, p: Named, double: bool) -> Any:
-        springs = sum((p.length - ca.norm_2(leg)) ** 2 for leg in legs(x, double))
-        return p.mass * (x.vx**2 + x.vy**2) / 2 + p.mass * p.gravity * x.y + p.stiffness * springs / 2
-
-    def field(x: Named, p: Named, double: bool) -> list[Any]:
-        pushes = [p.stiffness / p.mass * (p.length / ca.norm_2(leg) - 1) * leg for leg in legs(x, double)]
-        rates = sum(pushes, ca.SX.zeros(2))
-        return [x.vx, x.vy, rates[0], rates[1] - p.gravity, 0]
-
-    def feet(x: Named, p: Named, double: bool) -> Any:
-        ahead = x.x + p.length * ca.sin(p.attack), x.y - p.length * ca.cos(p.attack)
-        behind = (-x.step, 0) if double else ahead
-        return ca.horzcat(ca.SX.zeros(2), ca.vertcat(-x.y, x.x), ca.vertcat(-behind[1], behind[0]))
-
     def mode(name: str, double: bool) -> Mode:
+        def energy(x: Named, p: Named) -> Any:
+            springs = sum((p.length - ca.norm_2(leg)) ** 2 for leg in legs(x, double))
+            return p.mass * (x.vx**2 + x.vy**2) / 2 + p.mass * p.gravity * x.y + p.stiffness * springs / 2
+
+        def field(_: Any, x: Named, p: Named) -> list[Any]:
+            pushes = [p.stiffness / p.mass * (p.length / ca.norm_2(leg) - 1) * leg for leg in legs(x, double)]
+            rates = sum(pushes, ca.SX.zeros(2))
+            return [x.vx, x.vy, rates[0], rates[1] - p.gravity, 0]
+
+        def feet(x: Named, p: Named) -> Any:
+            ahead = x.x + p.length * ca.sin(p.attack), x.y - p.length * ca.cos(p.attack)
+            behind = (-x.step, 0) if double else ahead
+            return ca.horzcat(ca.SX.zeros(2), ca.vertcat(-x.y, x.x), ca.vertcat(-behind[1], behind[0]))
+
         model = made.first_order(
-            "slip_walker", lambda _, x, p: field(x, p, double), ("x", "y", "vx", "vy", "step"),
-            invariants={"energy": lambda x, p: energy(x, p, double)}, points=lambda x, p: feet(x, p, double),
-        )  # fmt: skip
+            "slip_walker", field, ("x", "y", "vx", "vy", "step"), invariants={"energy": energy}, points=feet
+        )
         pairs = zip(("leg", "leg behind"), range(1 + double), strict=False)
         return Mode(name, model, {
             f"{leg} pushes": lambda x, p, k=k: p.length - ca.norm_2(legs(x, double)[k]) for leg, k in pairs
@@ -518,23 +514,20 @@ def gravity_wedge(angle: float = 0.6, gravity: float = 1.0) -> Model:
         points=_downwards(made.q),
     )  # fmt: skip
 
-    def wall(side: int) -> tuple[Expression, Expression]:
-        """The distance from a wall, and the reflection there."""
+    def distance(side: int) -> Expression:
+        return lambda x, p: x.y * ca.sin(p.angle) - side * x.x * ca.cos(p.angle)
 
-        def gap(x: Named, p: Named) -> Any:
-            return x.y * ca.sin(p.angle) - side * x.x * ca.cos(p.angle)
-
-        return gap, impact(model, gap, 1.0).after
-
-    sides = {"right": wall(1), "left": wall(-1)}
-    bounces = [Transition(name, "air", "air", guard=gap, reset=after) for name, (gap, after) in sides.items()]
+    gaps = {"right": distance(1), "left": distance(-1)}
+    bounces = [
+        Transition(name, "air", "air", guard=gap, reset=impact(model, gap, 1.0).after) for name, gap in gaps.items()
+    ]
 
     def walls(x: Named, p: Named) -> Any:
         del x
         across = REACH * ca.tan(p.angle)
         return ca.horzcat(ca.vertcat(-REACH, -across), ca.SX.zeros(2), ca.vertcat(-REACH, across))
 
-    holds = {f"distance from the {name} wall": gap for name, (gap, _) in sides.items()}
+    holds = {f"distance from the {name} wall": gap for name, gap in gaps.items()}
     return _machine([Mode("air", model, holds)], bounces, walls, ["energy"])
 
 
@@ -596,13 +589,12 @@ def bouncing_ball(
         speed = p.amplitude * p.frequency * ca.cos(x.phase)
         return changed(x, v=(1 + p.restitution) * speed - p.restitution * x.v)
 
-    bounce = Transition("bounce", "air", "air", guard=lambda x, p: x.y - table(x, p), reset=bounced)
     holds = {"gap": lambda x, p: x.y - table(x, p)}
-
-    def surface(x: Named, p: Named) -> Any:
-        return ca.vertcat(ca.horzcat(-table(x, p), -table(x, p)), ca.SX([[-REACH, REACH]]))
-
-    return _machine([Mode("air", model, holds)], [bounce], surface)
+    bounce = Transition("bounce", "air", "air", guard=holds["gap"], reset=bounced)
+    return _machine(
+        [Mode("air", model, holds)], [bounce],
+        lambda x, p: ca.vertcat(ca.horzcat(-table(x, p), -table(x, p)), ca.SX([[-REACH, REACH]])),
+    )  # fmt: skip
 
 
 def impact_oscillator(

@@ -753,9 +753,9 @@ def _clock(made: _Drawing) -> tuple[ca.SX, ca.SX]:
     t, given = ca.SX.sym("t"), made.system.get("frequency")
     if given is None:
         varying = [f"motors.{n}" for n, motor in made.tables("motors").items() if motor.get("amplitude")]
-        if varying or made.tables("motions"):
-            first = (varying or [f"motions.{name}" for name in made.tables("motions")])[0]
-            raise InputError(f"frequency: missing, and {first} varies in time; give it in rad/s")
+        varying += [f"motions.{name}" for name in made.tables("motions")]
+        if varying:
+            raise InputError(f"frequency: missing, and {varying[0]} varies in time; give it in rad/s")
         return t, ca.SX(1)
     if given <= 0:
         raise InputError(f"frequency: must be positive, got {given:g}; give it in rad/s")
@@ -1021,28 +1021,25 @@ def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], 
         return len(columns) - 1
 
     solids = _solids(made)
+    held, pulled = ({name: list[ca.SX]() for name in made.bodies} for _ in range(2))
     for name, (centre, half) in solids.items():
         sides = (ca.SX(centre + half * way) for way in np.vstack([np.zeros(3), np.eye(3)]))
         strokes.append(("solid", tuple(place(name, at) for at in sides)))
-    held: dict[str, list[ca.SX]] = {name: [] for name in made.bodies}
     for name, table in made.tables("joints").items():
-        kind = made.kinds[name]
-        for body, at in zip(table["between"], made.places[name], strict=True):
+        kind, ends = made.kinds[name], list(zip(table["between"], made.places[name], strict=True))
+        for body, at in ends:
             if not (body == GROUND and "P" in kind.free) and not _among(at, held[body]):
                 held[body].append(at)
             if kind.drawn == "slider" and body == table["between"][1]:
                 strokes.append((kind.drawn, (place(body, at),)))
         if kind.drawn == "rod":
-            strokes.append(
-                (kind.drawn, tuple(place(*end) for end in zip(table["between"], made.places[name], strict=True)))
-            )
-    pulled: dict[str, list[ca.SX]] = {name: [] for name in made.bodies}
+            strokes.append((kind.drawn, tuple(place(*end) for end in ends)))
     for name, table in made.tables("springs").items():
         if name in made.places:
-            pair = table["between"]
-            for end, at in zip(pair, made.places[name], strict=True):
-                (held if end == GROUND else pulled)[end].append(at)
-            strokes.append(("spring", tuple(place(b, at) for b, at in zip(pair, made.places[name], strict=True))))
+            ends = list(zip(table["between"], made.places[name], strict=True))
+            for body, at in ends:
+                (held if body == GROUND else pulled)[body].append(at)
+            strokes.append(("spring", tuple(place(*end) for end in ends)))
     strokes += [("ground", (place(GROUND, at),)) for at in held.pop(GROUND)]
     for name, table in made.tables("bodies").items():
         com = made.coms[name]
@@ -1055,8 +1052,8 @@ def _picture(made: _Drawing) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], 
         if "shape" in table:
             points = [ca.SX([*map(float, point), *flat]) for point in table["shape"]]
         if len(points) < 2 and (made.dimension == 3 or "disc" not in table):
-            ends = [_solid_end(*solids[name], at) if name in solids else _rod_end(table, at, com) for at in points]
-            points = [*points, *ends, *([] if points else [com])]
+            far = [_solid_end(*solids[name], at) if name in solids else _rod_end(table, at, com) for at in points]
+            points = [*points, *far, *([] if points else [com])]
         if not {"shape", "disc"} & set(table):  # a spring does not end in the air
             points = [*points, *(at for at in pulled[name] if not _among(at, points))]
         chain = [place(name, at) for at in points]

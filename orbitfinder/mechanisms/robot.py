@@ -402,7 +402,7 @@ def compiled(file: str) -> Entries:
     except Exception as error:
         return {"refused": " ".join(str(error).split())}
     read = ("qpos", "body_", "jnt_", "dof_", "eq_", "site_", "tendon_")
-    lists: Entries = {name: getattr(model, name).tolist() for name in dir(model) if name.startswith(read)}
+    lists = {name: getattr(model, name).tolist() for name in dir(model) if name.startswith(read)}
     lists["solids"] = [[part.tolist() for part in solid] for solid in _bare(mujoco, model)]
     lists |= {name: np.asarray(getattr(model.opt, name)).tolist() for name in ("gravity", "density", "viscosity")}
     return lists | {
@@ -464,13 +464,13 @@ def _mjcf(path: Path, data: bytes, ignore: Sequence[str]) -> _Read:
     names, gravity = model.bodies, [0.0] * 3 if "mjDSBL_GRAVITY" in model.off else model.gravity
     made, frames = _Read(path.stem, {names[0]: _RigidBody()}, {}, names[0], gravity), {0: names[0]}
     for k in range(1, len(names)):
-        turn = _straight(Rotation.from_quat(np.roll(model.body_iquat[k], -1)).as_matrix())
+        turn = _axes(model.body_iquat[k])
         inertia = turn @ np.diag(model.body_inertia[k]) @ turn.T
         corners, faces = model.solids[k]
         solids = [(np.array(corners), np.array(faces))] if faces else []
         body = _RigidBody(model.body_mass[k], np.array(model.body_ipos[k]), inertia, solids=solids)
         place, parent = np.array(model.body_pos[k]), frames[model.body_parentid[k]]
-        turned = _straight(Rotation.from_quat(np.roll(model.body_quat[k], -1)).as_matrix())
+        turned = _axes(model.body_quat[k])
         hung = range(model.body_jntadr[k], model.body_jntadr[k] + model.body_jntnum[k])
         for j in hung:  # in their order, each on a body without mass at the joint's place
             anchor = np.array(model.jnt_pos[j])
@@ -491,6 +491,11 @@ def _mjcf(path: Path, data: bytes, ignore: Sequence[str]) -> _Read:
     return made
 
 
+def _axes(quaternion: Sequence[float]) -> np.ndarray:
+    """The axes (3 x 3, in columns) of what a MuJoCo model turns by a quaternion, whose real part is its first."""
+    return _straight(Rotation.from_quat(np.roll(quaternion, -1)).as_matrix())
+
+
 def _close(made: _Read, model: SimpleNamespace, k: int, frames: Mapping[int, str]) -> None:
     """A joint that closes a loop: an equality's place on its first body, and a link fixed at that on its second."""
     data, kind = np.array(model.eq_data[k]), MUJOCO[model.equalities[k]]
@@ -503,8 +508,7 @@ def _close(made: _Read, model: SimpleNamespace, k: int, frames: Mapping[int, str
     name, end = model.loops[k], f"{model.loops[k]}_end"
     kind = kind if data[10] else "connect"  # a weld whose torque is scaled by 0
     for label, what, body, place, turn in zip((name, end), (kind, "fixed"), bodies, places, turns, strict=True):
-        axes = _straight(Rotation.from_quat(np.roll(turn, -1)).as_matrix())
-        _put(made.joints, "joints", label, _Joint(what, frames[body], end, place, axes, np.eye(3)[0]))
+        _put(made.joints, "joints", label, _Joint(what, frames[body], end, place, _axes(turn), np.eye(3)[0]))
     _put(made.bodies, "bodies", end, _RigidBody())
 
 
@@ -643,7 +647,7 @@ def _acting(
     made: _Read, moving: list[str], stiffness: Any, rest: Mapping[str, float], damping: Any, motors: Sequence[str] | str
 ) -> Entries:
     """Springs, dampers and motors of the moving joints."""
-    system = dict[str, Any]()
+    system = Entries()
     moving = [name for name in moving if len(made.joints[name].free) == 1]
     _check_names("rest", rest, moving)
     for key, given, entry in (("springs", stiffness, "stiffness"), ("dampers", damping, "damping")):

@@ -339,7 +339,7 @@ class _Written:
         self.t, self.q, self.v = ca.SX.sym("t"), ca.SX.sym("q", size), ca.SX.sym("v", size)
         self.names = coordinate_names(tuple(names) or None, Symbols(self.q, self.v))
         self.given = {name: finite_number(f"parameters.{name}", value) for name, value in given.items()}
-        self.values, self.numbers, self.held = dict[str, float](), dict[str, Any](), set[int]()
+        self.values, self.numbers, self.held = dict[str, float](), Entries(), set[int]()
         self.potential, self.inner, self.outer = ca.SX(0), ca.SX(size, 1), ca.SX(size, 1)
         self.clock: Any = None
 

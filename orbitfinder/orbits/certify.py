@@ -176,9 +176,15 @@ def _judged(orbit: Orbit, model: Model, allowed: Tolerances, better: bool = Fals
     except (ConvergenceError, IntegrationError, np.linalg.LinAlgError) as error:
         return orbit, Certificate((refused(verifier.missing, error),))
     if better and isinstance(seen, Evidence):
-        symmetry = _symmetry_of(orbit, seen, model)
-        orbit = _better_known(orbit, seen.floquet)
-        orbit = orbit if symmetry == NONE.name else replace(orbit, symmetry=symmetry)
+        symmetry, again = _symmetry_of(orbit, seen, model), seen.floquet
+        # multipliers whose pairs are reciprocal ten times better, if they agree to what the worse claim
+        sharper = orbit.pair_defect > BADLY and PAIRED * again.pair_defect < orbit.pair_defect
+        if sharper and _multiplier_distance(orbit, again) <= orbit.pair_defect:
+            orbit = replace(
+                orbit, floquet_multipliers=again.multipliers, pair_defect=again.pair_defect, stability=again.stability
+            )
+        if symmetry != NONE.name:
+            orbit = replace(orbit, symmetry=symmetry)
     trial = Trial(orbit, model, turns, allowed, seen, second)
     checks, late = tuple(check for check in verifier.checks(trial) if check), seen.closes.period_error * orbit.period
     return orbit, Certificate(checks, trial.scale, seen.closure, late)
@@ -241,21 +247,6 @@ def _smoothly(orbit: Orbit, model: Model, turns: np.ndarray) -> tuple[Evidence, 
     if second > Tolerances.second_closure * scale:  # by round-off, maybe
         second = second_closure(*given, smooth.extents, smooth.motion.precise)
     return smooth, second
-
-
-def _by_steps(orbit: Orbit, model: Model, _: np.ndarray) -> tuple[Recomputed, float]:
-    damped = not orbit.floquet_multipliers.size and model.degrees_of_freedom > MOST_MODES
-    return gathered(model, orbit.state, orbit.period, damped)
-
-
-def _better_known(orbit: Orbit, found: Floquet) -> Orbit:
-    """The orbit with multipliers whose pairs are reciprocal ten times better, if they agree to what the worse claim."""
-    known = orbit.pair_defect > BADLY and PAIRED * found.pair_defect < orbit.pair_defect
-    if not known or not _multiplier_distance(orbit, found) <= orbit.pair_defect:
-        return orbit
-    return replace(
-        orbit, floquet_multipliers=found.multipliers, pair_defect=found.pair_defect, stability=found.stability
-    )
 
 
 def _model_of(orbit: Orbit, model: Model | None) -> Model:
@@ -806,7 +797,12 @@ VERIFIERS = {
     "smooth": Verifier(lambda orbit, model: True, _smoothly, _smooth_checks),
     "large": Verifier(
         lambda orbit, model: suits(model, orbit.floquet_multipliers.size) and not any(orbit.winding),
-        _by_steps,
+        lambda orbit, model, _: gathered(
+            model,
+            orbit.state,
+            orbit.period,
+            not orbit.floquet_multipliers.size and model.degrees_of_freedom > MOST_MODES,
+        ),
         _large_checks,
     ),
     "impacts": Verifier(lambda orbit, model: not model.smooth, _through_impacts, _hybrid_checks, "events"),

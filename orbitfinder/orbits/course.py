@@ -189,7 +189,7 @@ def _ground(model: Model) -> Callable[[np.ndarray], np.ndarray] | None:
     if (line := model.hybrid.ground) is None:
         return None
     p = model.parameter_values[: line.numel_in(1)]
-    return lambda x: np.asarray(line(x, p).full())
+    return lambda x: line(x, p).full()
 
 
 def sampled(model: Model, state: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:

@@ -162,6 +162,10 @@ class Hamiltonian:
             return np.hstack([places, rates])
         return np.asarray(lift(places.T, rates.T, *self._given).full().T)
 
+    def ended(self, path: np.ndarray) -> np.ndarray:
+        """Gradients of the invariants where a path (k x m) ends."""
+        return self.frame(self.states(path[-1:])[0], path[-1])[0]
+
     def frame(self, state: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Gradients of the invariants, symmetry directions (the flow first) and gradients of the constraints at y."""
         model, flow = self.model, self.field(0.0, start)
@@ -229,7 +233,7 @@ def canonical_motion(
         missed = nodes[-1] - start - shift(turns[chosen[: masses.size]], start.size)
         action -= float(nodes[-1, half:] @ missed[:half])
     gradients, directions, constraints = equations.frame(state, start)
-    ended = equations.frame(equations.states(nodes[-1:])[0], nodes[-1])[0]
+    ended = equations.ended(nodes)
     own, reach = turns[chosen[: equations.coordinates.size]], None
     if first_order and equations.field.stiff:
         reach = np.array([traces[0].states.min(axis=0), traces[0].states.max(axis=0)]) * units
@@ -622,7 +626,7 @@ def _sharpened(model: Model, motion: Motion, units: np.ndarray, quadruple: bool)
     return replace(
         motion, transitions=pieces, missed=missed, path=path, states=equations.states(path), action=action, trace=trace,
         precise=QUADRUPLE if quadruple else ROUND_OFF, through=through,
-        ended=equations.frame(equations.states(path[-1:])[0], path[-1])[0],
+        ended=equations.ended(path),
     )  # fmt: skip
 
 
@@ -699,7 +703,7 @@ def _symmetric(model: Model, motion: Motion, units: np.ndarray) -> float:
                 continue
             late = through @ (again.rate / units) * period / symmetry.parts
             asked = np.hstack([first * units / sizes, last * units / sizes])
-            ended = equations.frame(equations.states(path[-1:])[0], path[-1])[0]
+            ended = equations.ended(path)
             same = np.hstack([-again.gradients, ended]) * np.tile(units, 2)  # what rows ask of both ends and is kept
             told = np.linalg.lstsq(asked.T, same.T)[0]
             told = told[:, np.linalg.norm(asked.T @ told - same.T, axis=0) <= KNOWN * np.linalg.norm(same, axis=1)]
@@ -957,7 +961,15 @@ class ClosureCheck:
         now: float = 0.0,
     ) -> np.ndarray:
         """(q, v) after a time from `now`, by steps no longer than a share of it, in powers of 256 near the `units`."""
-        self._put(free or {})
+        free = free or {}
+        if system_kind(self._model.system).reread:  # chains and linkages are made anew with them
+            if self._at != dict(free):
+                self._at, self._equations = dict(free), _equations(with_parameters(self._model, free))
+        else:
+            assert isinstance(self._equations, Hamiltonian)
+            if self._equations.free != tuple(free):
+                self._equations = Hamiltonian(self._model, tuple(free))
+            self._equations.put(np.array(list(free.values())))
         span = np.array([now, now + duration])
         if not isinstance(self._equations, Hamiltonian):
             sizes = snapped(np.broadcast_to(units, state.shape))
@@ -972,17 +984,6 @@ class ClosureCheck:
                 sizes[start.size // 2 :] *= snapped(self._equations.masses(start))
             path = integrate_in(sizes, self._equations.field, start, span, self._settings, longest * duration)
         return np.asarray(self._equations.states(path[-1:])[0])
-
-    def _put(self, free: Mapping[str, float]) -> None:
-        """Take these values of freed parameters; chains and linkages are made anew with them."""
-        if system_kind(self._model.system).reread:
-            if self._at != dict(free):
-                self._at, self._equations = dict(free), _equations(with_parameters(self._model, free))
-            return
-        assert isinstance(self._equations, Hamiltonian)
-        if self._equations.free != tuple(free):
-            self._equations = Hamiltonian(self._model, tuple(free))
-        self._equations.put(np.array(list(free.values())))
 
 
 def _equations(model: Model) -> Hamiltonian | VectorField:

@@ -193,7 +193,7 @@ def provenance(problem: Problem, settings: SolveSettings, began: float) -> dict[
         "relative_tolerance": settings.integrator.relative_tolerance,
         "absolute_tolerance": settings.integrator.absolute_tolerance,
         "ipopt_tolerance": settings.ipopt_tolerance,
-        "guess": {"state": [float(x) for x in problem.guess.state], "period": float(problem.guess.period)},
+        "guess": {"state": problem.guess.start.tolist(), "period": float(problem.guess.period)},
         "pin": {one.name: one.value for one in problem.pin},
         "invariants": [one.name for one in problem.model.invariants],
         "wall_time": round(time.perf_counter() - began, 3),

@@ -181,7 +181,12 @@ def _peak(
     """max_amplitude or min_peak_rate, solved again from the true peak until it is at t = 0."""
     flow, found = near[0].flow, near[0].at(near[1])
     times, states = _orbit(*near)
-    place = _component(problem, states)
+    n = problem.model.degrees_of_freedom
+    place = n * (problem.objective == "min_peak_rate")  # in the state: of the coordinate that is asked, or its rate
+    if problem.coordinate is not None:
+        place += problem.model.state_index(problem.coordinate)
+    else:
+        place += int(np.abs(states[:, place : place + n]).max(axis=0).argmax())
     if problem.objective == "max_amplitude" and problem.turns[place]:
         raise InputError(
             f"coordinate: {problem.model.state_names[place]} turns over and over and has no amplitude; choose another"
@@ -195,7 +200,7 @@ def _peak(
             top = 0 if abs(states[0, place]) >= abs(states[len(states) // 2, place]) else len(states) // 2
         moved = np.vstack([states[top:], states[1 : top + 1] + states[-1] - states[0]])
         # minus the size of a coordinate at t = 0, or the size of a rate
-        sign = float(np.sign(moved[0, place])) * (-1 if place < problem.model.degrees_of_freedom else 1)
+        sign = float(np.sign(moved[0, place])) * (-1 if place < n else 1)
         clock = np.concatenate([times[top:] - times[top], times[1 : top + 1] + times[-1] - times[top]])
         ready = replace(
             problem,
@@ -223,15 +228,6 @@ def _peak(
         f"no orbit found: several peaks of {name} compete ({heights[-2]:.6g} and {heights[-1]:.6g} in turn), so its "
         "largest value has no smooth optimum here; choose another coordinate"
     )
-
-
-def _component(problem: Problem, states: np.ndarray) -> int:
-    """Position in the state of the coordinate, or of its rate, that the objective is about."""
-    n = problem.model.degrees_of_freedom
-    rates = n * (problem.objective == "min_peak_rate")
-    if problem.coordinate is not None:
-        return rates + problem.model.state_index(problem.coordinate)
-    return rates + int(np.abs(states[:, rates : rates + n]).max(axis=0).argmax())
 
 
 def _orbit(shooting: Shooting, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -207,7 +207,7 @@ class Refiner(Shown):
             return self._measured(refined)
 
     def _measured(self, refined: Refined) -> tuple[Orbit, Model]:
-        values = {name: float(one) for name, one in zip(self.problem.free, refined.free, strict=False)}
+        values = dict(zip(self.problem.free, refined.free.tolist(), strict=False))
         turns, model = tuple(int(k) for k in refined.turns), with_parameters(self.problem.model, values)
         if self.flow is None:
             return hybrid_orbit(replace(without_choice(self.problem), model=model), refined), model

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -50,6 +49,7 @@ from orbitfinder.orbits.objectives import chosen
 from orbitfinder.orbits.reduction import steady
 from orbitfinder.orbits.refine import Refiner, uneven
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.reading import Entries
 
 DRIFT = 1e-7
 """An invariant that changes by more than this along the guess's motion, relative to its size, is none."""
@@ -158,7 +158,7 @@ def found(problem: Problem, settings: SolveSettings, report: Callback | None, be
     problem = at_section(problem, flow)
     if _square(problem) and uneven(problem, flow):
         return _unevenly(problem, flow, settings, report, began)
-    said: dict[str, Any] = {}
+    said: Entries = {}
     try:
         refined, w = _shot(problem, flow, settings, report)
     except (ConvergenceError, IntegrationError) as error:
@@ -269,8 +269,7 @@ def found_hybrid(
         first = first_unknowns(equations, problem.guess, problem.segments or 1, STEPS)
         shooting, w = chosen(problem, first, flow_of(problem, settings.integrator), settings, report)
         settled = replace(_settled(problem, shooting.at(w)), segments=problem.segments)
-    refiner = Refiner(settled)
-    orbit, model = refiner.measured(refiner.refine())
+    orbit, model = _refined(settled)
     _within(problem, orbit)
     return replace(orbit, provenance=provenance(problem, settings, began) | _choice(problem, model)), model
 
@@ -339,10 +338,10 @@ def _periodic(problem: Problem, orbit: Orbit) -> None:
         )
 
 
-def _choice(problem: Problem, model: Model) -> dict[str, Any]:
+def _choice(problem: Problem, model: Model) -> Entries:
     """What was left to choose and what came of it, for the provenance."""
     found = {name: float(model.parameter_values[model.parameter_index(name)]) for name in problem.free}
-    said: dict[str, Any] = {"free": found} if found else {}
+    said: Entries = {"free": found} if found else {}
     if problem.objective != "nearest":
         said["objective"] = problem.objective if isinstance(problem.objective, str) else "callable"
     if problem.bounds:
@@ -352,27 +351,21 @@ def _choice(problem: Problem, model: Model) -> dict[str, Any]:
 
 def initial_nodes(problem: Problem, flow: Flow, settings: SolveSettings) -> np.ndarray:
     """Node states (N x 2n) of the guess: sampled from its trajectory, else simulated from its state."""
-    guess, horizon = problem.guess, problem.boundary.fraction * problem.guess.period
-    count = problem.segments or _segments_needed(problem, flow, horizon, settings)
+    guess, horizon, count = problem.guess, problem.boundary.fraction * problem.guess.period, problem.segments
+    nodes = [np.asarray(guess.state, float)]
+    if not count:  # as many as keep each state-transition matrix below `growth_per_segment`
+        fewest = int(np.ceil(settings.fewest_segments * problem.boundary.fraction))
+        units = clocked(problem.model, guess.period / (2 * np.pi), nodes[0])
+        matrix = transition(flow, nodes[0], horizon)[1]
+        count = segments_for(matrix, units, settings.growth_per_segment, (fewest, settings.most_segments))
     if guess.times is not None and guess.states is not None:
         return guessed_nodes(guess, np.arange(count) * problem.boundary.fraction / count)
-    nodes = [np.asarray(guess.state, float)]
     for k in range(1, count):
         try:
             nodes.append(end_state(flow, nodes[-1], horizon / count, (k - 1) * horizon / count))
         except IntegrationError as error:
             raise IntegrationError(error.reason, segment=k - 1, time=error.time, state=nodes[-1]) from None
     return np.asarray(nodes)
-
-
-def _segments_needed(problem: Problem, flow: Flow, horizon: float, settings: SolveSettings) -> int:
-    """As many segments as keep each state-transition matrix below `growth_per_segment`."""
-    matrix = transition(flow, np.asarray(problem.guess.state, float), horizon)[1]
-    fewest = int(np.ceil(settings.fewest_segments * problem.boundary.fraction))
-    between = (fewest, settings.most_segments)
-    state = np.asarray(problem.guess.state, float)
-    units = clocked(problem.model, problem.guess.period / (2 * np.pi), state)
-    return segments_for(matrix, units, settings.growth_per_segment, between)
 
 
 def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:

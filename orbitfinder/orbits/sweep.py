@@ -228,8 +228,7 @@ def sweep(
                     if progress:
                         progress(visit.row, len(visited), len(study.values))
         except LimitError as error:
-            late = {k: Row(study.named(k), None, str(error)) for k in range(len(study.values)) if k not in visited}
-            visited |= late
+            visited |= {k: Row(study.named(k), None, str(error)) for k in range(len(study.values)) if k not in visited}
     return study.swept(visited, time.monotonic() - began)
 
 
@@ -357,7 +356,7 @@ class _Study:
     def rows(self) -> Iterator[tuple[int, _Visit, bool]]:
         """Visits by number and whether each is new, those of values below the problem's own after those above."""
         scale = np.abs(self.values - self.own).max(axis=0)
-        along = ((self.values - self.own) / np.where(scale > 0, scale, 1.0)).sum(axis=1)
+        along = ((self.values - self.own) / nonzero(scale)).sum(axis=1)
         order = np.argsort(along, kind="stable")
         for side in (order[along[order] >= 0], order[along[order] < 0][::-1]):
             self._way, after = [], None

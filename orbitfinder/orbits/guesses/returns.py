@@ -186,7 +186,7 @@ def returns_of_arcs(model: Model, path: Course) -> list[CloseReturn]:
 
 def _units(model: Model, places: np.ndarray) -> np.ndarray:
     """What coordinates (n) are measured in beside angles: slides in what they move while the angles move a radian."""
-    turning, extents = np.asarray(model.angular), np.ptp(places, axis=0)
+    turning, extents = model.angular, np.ptp(places, axis=0)
     if turning.all() or not turning.any():
         return np.ones(extents.size)
     slide = float(extents[~turning].max()) / (float(extents[turning].max()) or 1.0)

@@ -50,15 +50,14 @@ def simulated(model: Model, state: np.ndarray, duration: float, units: np.ndarra
         limit.check()
         return field(t, x * size) / size
 
-    def steepness(t: float, x: np.ndarray) -> np.ndarray:  # without it, a stiff field is taken for none
-        return np.asarray(slopes(t, x * size)) * size / size[:, None]
-
-    with np.errstate(all="ignore"), captured():
-        solution = solve_ivp(rate, (0.0, duration), state / size, method="LSODA", rtol=RELATIVE, atol=ABSOLUTE,
-                          jac=steepness, dense_output=True)  # fmt: skip
+    with np.errstate(all="ignore"), captured():  # without the slopes, a stiff field is taken for none
+        solution = solve_ivp(
+            rate, (0.0, duration), state / size, method="LSODA", rtol=RELATIVE, atol=ABSOLUTE, dense_output=True,
+            jac=lambda t, x: np.asarray(slopes(t, x * size)) * size / size[:, None],
+        )  # fmt: skip
     if not solution.success or not np.isfinite(solution.y).all():
         raise IntegrationError("the motion cannot be simulated", time=float(solution.t[-1]), state=state)
-    return Settling(solution.t, solution.y.T * size, lambda times: np.asarray(solution.sol(times).T * size))
+    return Settling(solution.t, solution.y.T * size, lambda times: solution.sol(times).T * size)
 
 
 def cycles(model: Model, guess: Guess, own: Guess, stiff: bool) -> Iterator[Guess]:
