@@ -201,7 +201,8 @@ def test_a_force_far_narrower_than_a_step_is_found(kicked):
 @pytest.mark.usefixtures("deep")
 def test_a_motion_that_double_precision_does_not_go_through(monkeypatch):
     """The certificate begins in long double where DOP853 fails, and says the same of what it does not fail of."""
-    exact, own = gather(three_bodies(), BUTTERFLY, PERIOD, np.zeros(4)), evidence.canonical_motion
+    given, own = (three_bodies(), BUTTERFLY, PERIOD, np.zeros(4)), evidence.canonical_motion
+    exact = gather(*given, doubts=lambda _: True)
 
     def failing(*given, longer=False):
         if longer:
@@ -209,10 +210,10 @@ def test_a_motion_that_double_precision_does_not_go_through(monkeypatch):
         raise IntegrationError("collided")
 
     monkeypatch.setattr(evidence, "canonical_motion", failing)
-    again = gather(three_bodies(), BUTTERFLY, PERIOD, np.zeros(4))
+    again = gather(*given)
     assert np.abs(again.extents / exact.extents - 1).max() < 1e-6
     apart = np.abs(np.sort_complex(again.floquet.multipliers) - np.sort_complex(exact.floquet.multipliers))
-    assert apart.max() < exact.floquet.pair_defect < 1e-6 and again.floquet.pair_defect < 1e-9
+    assert apart.max() < 1e-9
     monkeypatch.setattr(evidence, "extended", lambda *_: None)
     with pytest.raises(IntegrationError, match="collided"):
-        gather(three_bodies(), BUTTERFLY, PERIOD, np.zeros(4))
+        gather(*given)
