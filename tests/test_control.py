@@ -517,21 +517,25 @@ def test_a_controlled_motion_of_another_period_than_the_forcing_has_is_rejected(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("shape", "method", "guess"),
-    [("zero-order", "collocation", 0.149), ("zero-order", "shooting", 0.149), ("linear", "collocation", 0.149),
-     ("zero-order", "shooting", [0.449 if k in (2, 9, 17, 26, 33) else 0.049 for k in range(40)])],
+    ("shape", "method", "guess", "product"),
+    [("zero-order", "collocation", 0.149, 0.0919), ("zero-order", "shooting", 0.149, 0.0919),
+     ("linear", "collocation", 0.149, 0.0919),
+     ("zero-order", "shooting", [0.449 if k in (2, 9, 17, 26, 33) else 0.049 for k in range(40)], 0.0919),
+     ("linear", "shooting", [0.449 if k * 2 // 3 in (2, 9, 17, 26, 33) else 0.049 for k in range(60)], 0.0948)],
 )  # fmt: skip
-def test_a_tank_is_better_off_heated_in_pulses(shape, method, guess):
+def test_a_tank_is_better_off_heated_in_pulses(shape, method, guess, product):
     """Two reactions, at rest 0.0844 of the product, no state pinned: held controls have their instants. In steps that
-    lose the motion costs have no lower bound, and IPOPT stays 6e-8 inside of a limit."""
+    lose the motion costs have no lower bound, and IPOPT stays 6e-8 inside of a limit. Own multiple shooting has
+    0.09277 at most from 25 guesses where the control is linear in 40 intervals, 0.0949 in 60."""
 
     def field(_, x, p):
         made, lost = 1e4 * x.c1**2 * ca.exp(-1 / x.c3), 400 * x.c1 * ca.exp(-0.55 / x.c3)
         return [1 - made - lost - x.c1, made - x.c2, p.u - x.c3]
 
     tank = of.ode(field, ("c1", "c2", "c3"), {"u": 0.149}, controls=["u"], limits={"u": [0.049, 0.449]})
-    control = of.Control("-c2", shape, intervals=40, average=True, method=method, guess={"u": guess})
+    intervals = len(guess) if isinstance(guess, list) else 40
+    control = of.Control("-c2", shape, intervals=intervals, average=True, method=method, guess={"u": guess})
     problem = of.Problem(tank, of.Guess([0.1, 0.08, 0.15], 10.0), of.pin(period=10.0), control=control)
     orbit = of.find_orbit(problem)
     assert orbit.certificate.passed, orbit.certificate.failures
-    assert orbit.control["cost"] < -0.0919 and not orbit.control["normals"]
+    assert orbit.control["cost"] < -product and not orbit.control["normals"]
