@@ -545,12 +545,6 @@ def gather(
             if sharp is not motion:
                 motion = sharp
                 states, units, loop = looped()
-    # the largest |Phi(t, s)| between the ends of any two pieces
-    count, size = len(loop.pieces), len(loop.pieces[0])
-    norms, wholes = np.ones((count + 1, count + 1)), np.empty((0, size, size))
-    for end, piece in enumerate(loop.pieces, 1):  # from the start of each piece to that of another
-        wholes = piece @ np.concatenate([wholes, np.eye(size)[None]])
-        norms[:end, end] = np.linalg.norm(wholes, axis=(1, 2))
     kinetic, potential = energies(model, states)
     total = kinetic + potential
     exchanged = nonzero(max(float(np.ptp(potential)) + float(kinetic.max()), 1e-3 * float(np.abs(potential).max())))
@@ -567,11 +561,20 @@ def gather(
         floquet=analyse(loop.map(), conservative=loop.conservative),
         drift=float(np.abs(total - total[0]).max()) / exchanged,
         exchanged=exchanged,
-        growth=float(norms.max()),
+        growth=_growth(loop.pieces),
         varied=regrown(loop.pieces),
-        norm=float(np.linalg.norm(wholes[0] if loop.monodromy is None else loop.monodromy)),
+        norm=float(np.linalg.norm(multiplied(loop.pieces) if loop.monodromy is None else loop.monodromy)),
         motion=motion,
     )
+
+
+def _growth(pieces: Sequence[np.ndarray]) -> float:
+    """The largest |Phi(t, s)| between the ends of any two pieces (m x m each)."""
+    largest, wholes = 1.0, np.empty((0, *pieces[0].shape))
+    for piece in pieces:  # from the start of each piece so far to the end of this
+        wholes = piece @ np.concatenate([wholes, np.eye(len(piece))[None]])
+        largest = float(np.maximum(largest, np.linalg.norm(wholes, axis=(1, 2)).max()))
+    return largest
 
 
 def _looped(model: Model, motion: Motion, units: np.ndarray, path: np.ndarray, period: float) -> Tour:
