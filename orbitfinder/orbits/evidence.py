@@ -46,6 +46,7 @@ from orbitfinder.mechanics.kind import system_kind, with_parameters
 from orbitfinder.mechanics.model import Model, altered, constraint_of, energies
 from orbitfinder.mechanics.scales import Acts, acting, acting_in, extents, extents_of, masses_of, snapped
 from orbitfinder.orbits.closure import LARGEST_SCALE, Closure, closes, distance, gap, regrown, shift, still
+from orbitfinder.orbits.closure import ROUND_OFF as GAPS
 from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, symplectic_unit
 from orbitfinder.orbits.product import lost, product
 
@@ -535,8 +536,8 @@ def gather(
     states, units, loop = looped()
     plain = plain and units.size <= MOST
     for quadruple in (False, True):
-        told = motion.precise * regrown(loop.pieces) <= KEPT  # or round-off is more than what is asked of Phi
-        if not plain or (told and loop.closes.distance >= FALSE):
+        lost = motion.precise * regrown(loop.pieces)  # by round-off, of Phi, and maybe the gap
+        if not plain or (loop.closes.distance >= FALSE and not KEPT < lost > loop.closes.gap / GAPS):
             break
         if not _rounded(loop) and (quadruple or not doubts(analyse(loop.map(), loop.conservative))):
             break
