@@ -539,13 +539,16 @@ def gather(
         lost = motion.precise * regrown(loop.pieces)  # by round-off, of Phi, and maybe the gap
         if not plain or (loop.closes.distance >= FALSE and not KEPT < lost > loop.closes.gap / GAPS):
             break
-        if not _rounded(loop) and (quadruple or not doubts(analyse(loop.map(), loop.conservative))):
+        own = analyse(loop.map(), loop.conservative)
+        if not _rounded(loop) and not ((not quadruple or own.pair_defect > KEPT) and doubts(own)):
             break
         with suppress(IntegrationError):
-            sharp = _sharpened(model, motion, units, quadruple)
+            sharp, before = _sharpened(model, motion, units, quadruple), loop.closes.distance
             if sharp is not motion:
                 motion = sharp
                 states, units, loop = looped()
+                if max(10 * DOUBTFUL, before / 2) < loop.closes.distance < np.inf:  # which is no round-off
+                    break
     kinetic, potential = energies(model, states)
     total = kinetic + potential
     exchanged = nonzero(max(float(np.ptp(potential)) + float(kinetic.max()), 1e-3 * float(np.abs(potential).max())))
