@@ -536,11 +536,7 @@ def gather(
     states, units, loop = looped()
     plain = plain and units.size <= MOST
     for quadruple in (False, True):
-        lost = motion.precise * regrown(loop.pieces)  # by round-off, of Phi, and maybe the gap
-        if not plain or (loop.closes.distance >= FALSE and not KEPT < lost > loop.closes.gap / GAPS):
-            break
-        own = analyse(loop.map(), loop.conservative)
-        if not _rounded(loop) and not ((not quadruple or own.pair_defect > KEPT) and doubts(own)):
+        if not (plain and _doubtful(loop, motion.precise, doubts)):
             break
         with suppress(IntegrationError):
             sharp, before = _sharpened(model, motion, units, quadruple), loop.closes.distance
@@ -606,10 +602,17 @@ def _looped(model: Model, motion: Motion, units: np.ndarray, path: np.ndarray, p
     return Tour(closing, pieces, kept, along, symplectic(model), units, basis, ended=ended, monodromy=through)
 
 
-def _rounded(loop: Tour) -> bool:
-    """Whether round-off of double precision may be all that is wrong with a motion."""
+def _doubtful(loop: Tour, precise: float, doubts: Callable[[Floquet], bool]) -> bool:
+    """Whether round-off may be all that is wrong with a motion, or with its multipliers, of an integration that is as
+    precise."""
     gap, grown = loop.closes.worst
-    return loop.closes.distance > DOUBTFUL or gap > CLOSED * min(grown, LARGEST_SCALE) or loop.trivial > KEPT
+    lost = precise * regrown(loop.pieces)  # by round-off, of Phi, and maybe the gap
+    if loop.closes.distance >= FALSE and not KEPT < lost > loop.closes.gap / GAPS:
+        return False
+    if loop.closes.distance > DOUBTFUL or gap > CLOSED * min(grown, LARGEST_SCALE) or loop.trivial > KEPT:
+        return True
+    own = analyse(loop.map(), loop.conservative)
+    return (precise == EPSILON or own.pair_defect > KEPT) and doubts(own)
 
 
 def _sharpened(model: Model, motion: Motion, units: np.ndarray, quadruple: bool) -> Motion:
