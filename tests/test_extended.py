@@ -16,7 +16,7 @@ from orbitfinder.loops.symmetry import NONE, SYMMETRIES
 from orbitfinder.loops.wide import wide
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.orbits import evidence
-from orbitfinder.orbits.between import overlooked
+from orbitfinder.orbits.between import _retaken, overlooked
 from orbitfinder.orbits.evidence import Evidence, gather
 from orbitfinder.systems import three_bodies
 
@@ -217,3 +217,35 @@ def test_a_motion_that_double_precision_does_not_go_through(monkeypatch):
     monkeypatch.setattr(evidence, "extended", lambda *_: None)
     with pytest.raises(IntegrationError, match="collided"):
         gather(*given)
+
+
+@pytest.mark.usefixtures("deep")
+def test_past_a_centre_at_a_ten_thousandth():
+    """A late clock, whose own round-off is 4e-9 s, costs no digits; steps taken again are in the motion's digits."""
+    start, free, times = (
+        np.array([1.9999, 0.0, 0.0, np.sqrt(2e-4 / 1.9999)]),
+        np.array([2.0]),
+        np.linspace(0.0, 3.0, 129),
+    )
+    field = vector_field(KEPLER, free)
+    wide = extended(field)
+    early, late = (wide.end(np.ones(4), start, (begin, begin + 3.0), free) for begin in (0.0, 2.0**36))
+    assert np.abs(early - start).max() > 0.1 and np.abs(late - early).max() < 1e-12
+    trace = evidence._traced(field, wide, np.ones(4), wide.along(np.ones(4), start, times, free), times)
+    k = int(np.abs(trace.rates(trace.moments, trace.states)).max(axis=1).argmax()) - 1
+    begin, end = trace.moments[k : k + 2]
+    known, lost = (_retaken(each, k, begin, end, (end - begin) / 50) for each in (trace, replace(trace, retaken=None)))
+    assert known < 1e-14 and lost > 1e-10
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("deep")
+def test_how_many_digits_are_asked_for(monkeypatch):
+    """None more for a distance that long double confirms, nor for multipliers that are known; for others they are."""
+    given, turns = (three_bodies(), BUTTERFLY), np.zeros(4)
+    wrong = gather(*given, PERIOD * (1 + 1e-8), turns)
+    assert wrong.motion.precise == ROUND_OFF and wrong.closes.distance > 1e-9
+    assert gather(*given, PERIOD, turns, doubts=lambda _: True).motion.precise == ROUND_OFF
+    own = evidence.analyse
+    monkeypatch.setattr(evidence, "analyse", lambda *known, **more: replace(own(*known, **more), pair_defect=1e-7))
+    assert gather(*given, PERIOD, turns, doubts=lambda _: True).motion.precise < ROUND_OFF
