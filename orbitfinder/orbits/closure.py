@@ -158,10 +158,9 @@ def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.nd
 
 def regrown(transitions: Sequence[np.ndarray]) -> float:
     """What an error grows to in Phi that is made on the way, max over t of |Phi(T, t)| |Phi(t, 0)|."""
-    unit = np.eye(len(transitions[0]))
-    sooner = accumulate(transitions, lambda done, piece: piece @ done, initial=unit)
-    later = [*accumulate(reversed(transitions), np.matmul, initial=unit)]
-    ways = zip(sooner, reversed(later), strict=True)
+    size = len(transitions[0])
+    sooner = accumulate(transitions, lambda done, piece: piece @ done, initial=np.eye(size))
+    ways = zip(sooner, reversed(_carrying(transitions, size, None)), strict=True)
     return max(float(np.linalg.norm(before) * np.linalg.norm(after)) for before, after in ways)
 
 
