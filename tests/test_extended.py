@@ -194,7 +194,7 @@ def test_a_force_far_narrower_than_a_step_is_found(kicked):
     motion = evidence.canonical_motion(model, state, whole, np.zeros(1), evidence.evenly(whole), evidence.TIGHTEST)
     sharp = evidence._sharpened(model, motion, np.ones(2), False)
     assert np.abs(sharp.trace.states[-1] - [np.cos(whole), -np.sin(whole)]).max() < 1e-18
-    changed = overlooked(sharp.trace)[0]
+    changed = overlooked([sharp.trace])[0]
     assert changed > 1e-3 if kicked else changed == 0.0
 
 

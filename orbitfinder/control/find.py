@@ -408,7 +408,8 @@ def _unseen(motion: _Controlled) -> tuple[float, float]:
             whole = np.hstack([rows * units, np.zeros((len(rows), rest))])
             return np.asarray(many(moments, whole)[:, : units.size] / units)
 
-        change, width, _ = overlooked(Trace(trace.moments, trace.states[:, : units.size] / units, rates, True), looks)
+        own = Trace(trace.moments, trace.states[:, : units.size] / units, rates, True)
+        change, width, _ = overlooked([own], looks)
         changed, widest = changed + change, max(widest, width)
     return changed, widest
 

@@ -25,7 +25,7 @@ from orbitfinder.families.events import avoiding, event_at, find_events
 from orbitfinder.families.joins import Invariance, Join
 from orbitfinder.families.motion import watched
 from orbitfinder.families.passages import AIMED, MET, Test, avoided, crossing_ahead, zeros
-from orbitfinder.families.point import FamilySettings, make_point, parameter_value
+from orbitfinder.families.point import FamilySettings, freed, make_point, parameter_value
 from orbitfinder.families.registry import tests_of
 from orbitfinder.families.run import (
     Interval,
@@ -43,7 +43,7 @@ from orbitfinder.families.run import (
 from orbitfinder.loops.block import Ahead, Blocks, Pacing
 from orbitfinder.loops.condensed import combined
 from orbitfinder.loops.conditions import pinned
-from orbitfinder.loops.continued import Solution, advanced, correct, distance, oriented, plane, tangent
+from orbitfinder.loops.continued import Curve, Solution, advanced, correct, distance, oriented, plane, tangent
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.mesh import carried, regraded, settled
 from orbitfinder.records.ends import end_kind
@@ -57,6 +57,8 @@ ECHO = 1e-2
 """Arclength before a junction of two families within which nothing else is reported."""
 ROUND_OFF = 1e-15
 """Arclength within which a watched number is met"""
+TRIED = 24
+"""States of an orbit beside which its symmetry of the equations is tried again"""
 Member = TypeVar("Member", FamilyPoint, Event)
 
 
@@ -126,6 +128,7 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
     step = _corrected(run, before, length, nearly) if ahead is None else ahead
     raw, whole = step.solution, step.whole
     solution = raw if ahead is not None and ahead.fits else settled(curve, raw, whole)
+    _check_symmetric(curve, solution)
     last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
     if curve.equations.links and (cut := _cut(run, before, last)) is not None:
         return before, cut
@@ -159,6 +162,18 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
     batch = _batch(run, before, after, last, met)
     stands = bool(batch.points) and batch.points[-1] is after.point
     return after, replace(batch, standing=standing_of(curve, kept, whole)) if stands else batch
+
+
+def _check_symmetric(curve: Curve, solution: Solution) -> None:
+    """`ConvergenceError` where the equations beside an orbit lack a symmetry by which a part of it stands for all."""
+    p, states, place = curve.equations, solution.march.states, solution.place
+    some = states[:: max(1, len(states) // TRIED)]
+    if lost := p.symmetry.lost_beside(p.model, some, curve.scales.states, curve.cycles, freed(curve, place)):
+        change = lost.in_words(p.model.coordinates)
+        raise ConvergenceError(
+            f"the orbits keep to a symmetry that the equations lose there, which change under {change}; start from an "
+            "orbit beyond, which is followed without it"
+        )
 
 
 def _corrected(run: Run, before: Walked, length: float, nearly: Unknowns | None = None) -> Ahead:

@@ -418,7 +418,7 @@ def symmetry_of(curve: Curve, solution: Solution) -> str:
     """The symmetry that an orbit and its equations have, whatever formulation it was found in.
 
     A motion may be more symmetric than its system, such as one along a line beside which nothing is even: its
-    variations then do not repeat after a part of the period.
+    variations then do not repeat after a part of the period. Equations are tried along it and as far as it may grow.
     """
     if len(curve.equations.symmetry.maps) > 1:
         return curve.equations.symmetry.name
@@ -429,7 +429,11 @@ def symmetry_of(curve: Curve, solution: Solution) -> str:
     if not model.conservative:  # symmetries that reverse time need no dissipation
         candidates = [replace(seen, maps=(seen.forward,))] if seen.forward else []
     models = (model, moved(model, curve.equations.free))
-    kept = (each.name for each in candidates if all(each.held_by(m, states[0], curve.cycles) for m in models))
+    middle, units = states.mean(axis=0), curve.sizes(solution)
+    wide = np.vstack([middle + share * (states[:: 4 * SAMPLES // 120] - middle) for share in (0.5, 1.0, 2.0, 4.0)])
+    kept = (each.name for each in candidates
+            if all(each.held_by(m, states[0], curve.cycles) for m in models)
+            and all(each.lost_beside(m, wide, units, curve.cycles) is None for m in models))  # fmt: skip
     return next(kept, NONE.name)
 
 

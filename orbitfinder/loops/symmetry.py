@@ -23,6 +23,7 @@ import numpy as np
 from scipy.interpolate import PPoly
 
 from orbitfinder._runtime.caches import Kept, Same
+from orbitfinder._runtime.sizes import size_of
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.model import Invariant, Model, altered, between, images, wrapped
@@ -40,6 +41,8 @@ class Recognition:
     """Largest harmonic of the motion that breaks the mirror about a turning instant, relative to the largest rate."""
     broken: float = 1e-8
     """Relative difference of accelerations there and in the image, above which the equations lack a symmetry."""
+    beside: float = 0.02
+    """How far beside a motion, in its extents, its equations are tried"""
     mirrored: float = 1e-9
     """Relative difference below which they have one that nobody declares"""
     still: float = 1e-9
@@ -419,6 +422,33 @@ class Symmetry:
                     f"symmetry: this system's equations change under {meaning}, so {self.name!r} cannot be imposed; "
                     "use symmetry = 'none' (symmetric orbits are recognised)"
                 )
+
+    def lost_beside(
+        self,
+        model: Model,
+        states: np.ndarray,
+        units: np.ndarray,
+        cycles: int = 0,
+        free: Mapping[str, float] | None = None,
+    ) -> Involution | None:
+        """An involution of it that the equations lack, with parameters of these values, beside states (k x 2n) of a
+        motion that has it, measured in `units` (2n): a motion may go on as symmetric to where its equations are not.
+        """
+        random, n, driven = np.random.default_rng(0), model.degrees_of_freedom, model.forcing_period is not None
+        away = RECOGNISED.beside * (model.constraint is None) * units * random.normal(size=states.shape)
+        near, values = states + away, model.values_of(model.parameter_names)
+        for name, value in (free or {}).items():
+            values[model.parameter_names.index(name)] = value
+        for each in self.maps:
+            shift = cycles * model.driving_period / 2 if driven and each.sense > 0 else 0.0
+            times = random.uniform(0, float(snapped(shift)) + 2 * shift, (1, len(states)))
+            at = [times, *(part.T for part in np.split(near, [n], axis=1) if part.size), values]
+            pair = images(model, each.sense, ca.DM(each.places(n)), at, shift).full() / units[:n, None]
+            there, here = np.split(pair, 2, axis=1)
+            known = np.isfinite(there).all(axis=0) & np.isfinite(here).all(axis=0)
+            if np.abs((there + here)[:, known]).max(initial=0.0) > RECOGNISED.broken * size_of(here[:, known]):
+                return each
+        return None
 
     def held_by(self, model: Model, state: np.ndarray, cycles: int = 0) -> bool:
         """Whether a model's equations have it (see `check`)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from math import gcd
 
 import numpy as np
@@ -100,41 +100,60 @@ def _returns(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     return np.append(lag[own], lags[others] % period), np.append(polished[own], np.abs(off[others]).max(axis=1))
 
 
-def overlooked(trace: Trace, looks: int = LOOKS) -> tuple[float, float, int]:
+def overlooked(
+    traces: Iterable[Trace], looks: int = LOOKS, size: int | None = None, apart: float = 0.0
+) -> tuple[float, float, int]:  # fmt: skip
     """What features of the rates that are narrower than a step change, in extents; the widest gap between two looks, in
     extents and periods, and their number.
 
-    Rates are looked at, at equal distances along the motion from a seeded start, and compared with those of the curve
-    through the values and rates of four steps. Where they differ, the step is taken again by far shorter ones.
+    Rates are looked at, at equal distances along the motion (of its first `size` numbers, so far `apart` or so many
+    `looks` for each step) from a seeded start, and compared with those of the curve through the values and rates of
+    four steps. Where they differ, the step is taken again by far shorter ones.
     """
-    times, y, period = trace.moments, trace.states, float(trace.moments[-1])
-    if len(times) < 4:
-        return 0.0, 1.0, 0
-    moments, step, width = _looks(trace, looks)
-    slopes = trace.rates(times, y)
-    off = trace.strayed(slopes, step, moments)
-    if off is None:
-        between, rates = curve(times, y, slopes, step, moments)
-        with np.errstate(all="ignore"):
-            off = np.abs(trace.rates(moments, between) - rates).max(axis=1)
-        off = np.where(np.isfinite(off), off, np.inf)
-    suspect = off > SUSPECT * max(float(np.abs(slopes).max()), 1.0 / period)
-    worst = np.zeros(len(times) - 1)
-    np.maximum.at(worst, step[suspect], off[suspect])
-    changed = 0.0
-    for k in np.argsort(-worst)[: min(RETAKEN, np.count_nonzero(worst))]:
-        own, near = moments[suspect & (step == k)], float(np.diff(moments[step == k], append=times[k + 1]).max())
-        changed += _retaken(trace, k, max(own[0] - near, times[k]), min(own[-1] + near, times[k + 1]), near / FINER)
-    return changed, width, moments.size
+    suspects, widest, count = list[tuple[float, Trace, int, float, float, float]](), 0.0, 0
+    for trace in traces:
+        times, y = trace.moments, trace.states
+        if len(times) < 4:
+            continue
+        moments, step, width = _looks(trace, looks, size, apart)
+        slopes = trace.rates(times, y)
+        off = trace.strayed(slopes, step, moments)
+        if off is None:
+            between, rates = curve(times, y, slopes, step, moments)
+            with np.errstate(all="ignore"):
+                off = np.abs(trace.rates(moments, between) - rates).max(axis=1)
+            off = np.where(np.isfinite(off), off, np.inf)
+        suspect = off > SUSPECT * max(float(np.abs(slopes).max()), 1.0 / float(times[-1]))
+        for k in np.unique(step[suspect]).tolist():
+            own, near = moments[suspect & (step == k)], float(np.diff(moments[step == k], append=times[k + 1]).max())
+            worst = float(off[suspect & (step == k)].max())
+            suspects.append((worst, trace, k, max(own[0] - near, times[k]), min(own[-1] + near, times[k + 1]), near))
+        widest, count = max(widest, width), count + moments.size
+    suspects.sort(key=lambda each: -each[0])
+    changed = sum(_retaken(trace, k, begin, end, near / FINER) for _, trace, k, begin, end, near in suspects[:RETAKEN])
+    return changed, widest if count else 1.0, count
 
 
-def _looks(trace: Trace, looks: int) -> tuple[np.ndarray, np.ndarray, float]:
+def unresolved(motion: Trace, varied: Sequence[Trace]) -> tuple[float, float, int]:
+    """The same of a motion and of one of its variations, whose rates take as long as those of all."""
+    changed, width, count = overlooked([motion])
+    if not varied:
+        return changed, width, count
+    size = varied[0].states.shape[1] // 2
+    beside = overlooked(varied, ONE_BY_ONE, size, width * max(1.0, size**2 / USUAL))
+    return changed + beside[0], max(width, beside[1]), count + beside[2]
+
+
+def _looks(
+    trace: Trace, looks: int, size: int | None = None, apart: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
     """Moments (m) at equal distances along a motion, the steps in which they lie, and that distance."""
     times, period = trace.moments, float(trace.moments[-1])
-    each = np.maximum(np.abs(np.diff(trace.states, axis=0)).max(axis=1), np.diff(times) / period)
+    each = np.maximum(np.abs(np.diff(trace.states[:, :size], axis=0)).max(axis=1), np.diff(times) / period)
     way = np.append(0.0, np.cumsum(each))
     most = max(MOST_LOOKS * USUAL // max(USUAL, trace.states.shape[1]), ONE_BY_ONE * len(times))
-    count = min((looks if trace.together else ONE_BY_ONE) * len(times), most, MOST_LOOKS)
+    wanted = max(looks * len(times), int(np.ceil(way[-1] / apart)) if apart else 0)
+    count = min(wanted if trace.together else ONE_BY_ONE * len(times), most, MOST_LOOKS)
     places = (np.arange(count) + np.random.default_rng(0).uniform()) * (way[-1] / count)
     step = np.minimum(np.searchsorted(way, places, side="right") - 1, len(each) - 1)
     return times[step] + (places - way[step]) / each[step] * (times[step + 1] - times[step]), step, way[-1] / count

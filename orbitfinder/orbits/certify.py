@@ -24,7 +24,7 @@ from orbitfinder.mechanics.hybrid import as_recorded
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Invariant, Model, between, counted, energies, wrapped
 from orbitfinder.mechanics.scales import extents
-from orbitfinder.orbits.between import early_return, overlooked
+from orbitfinder.orbits.between import early_return, unresolved
 from orbitfinder.orbits.closure import LARGEST_SCALE, ROUND_OFF, shift, shift_along
 from orbitfinder.orbits.evidence import (
     CLOSED,
@@ -545,7 +545,7 @@ def _minimal_period(trial: Trial, near: Nearby, seen: Evidence) -> Check | None:
 def _resolution(evidence: Evidence) -> Check:
     """No feature of the equations between two steps of the integration changes where it ends."""
     try:
-        found, width, count = overlooked(evidence.motion.trace)
+        found, width, count = unresolved(evidence.motion.trace, evidence.motion.varied)
     except IntegrationError as error:
         return refused("resolution", error, tolerance=RESOLVED)
     note = f"change by what lies between steps; {count} looks, each {width:.1e} of the motion or less from the next"

@@ -114,6 +114,8 @@ class Motion:
     """y at the end less y at the start, where both are known in long double or better, as `transitions` are then"""
     precise: float = EPSILON
     """relative error that its integration makes"""
+    varied: Sequence[Trace] = ()
+    """the steps of DOP853 along each piece, of the motion and one of its variations (2 m numbers)"""
     through: np.ndarray | None = None
     """Phi over half the period and over the period (2 x m x m) where products of `transitions` are not as precise"""
 
@@ -229,7 +231,8 @@ def canonical_motion(
     half = start.size // 2
     if equations.field.stiff:  # nor does the interpreter follow its variations
         expect(equations.equations.variational, None, stiff=True)
-    transitions, nodes, action = _pieces(equations, start[None], units, period, through or varied)
+    varying = list[Trace]()
+    transitions, nodes, action = _pieces(equations, start[None], units, period, through or varied, varying)
     if not first_order:  # a gap dq adds p.dq: however large p is, the action of a small orbit is not that round-off
         missed = nodes[-1] - start - shift(turns[chosen[: masses.size]], start.size)
         action -= float(nodes[-1, half:] @ missed[:half])
@@ -241,7 +244,7 @@ def canonical_motion(
     return Motion(
         moments, equations.states(path), path, transitions, action, equations.field(0.0, start), gradients, directions,
         masses, own, drifting(traces[0], own, units), GIVEN if first_order else HAMILTON, constraints,
-        nodes[:-1], equations.field, reach, ended,
+        nodes[:-1], equations.field, reach, ended, varied=varying,
     )  # fmt: skip
 
 
@@ -292,8 +295,9 @@ def in_momenta(
 
 
 def _pieces(
-    equations: Hamiltonian, starts: np.ndarray, units: np.ndarray, period: float, varied: ReferenceSettings | Extended
-) -> tuple[list[np.ndarray], np.ndarray, float]:
+    equations: Hamiltonian, starts: np.ndarray, units: np.ndarray, period: float, varied: ReferenceSettings | Extended,
+    traces: list[Trace] | None = None,
+) -> tuple[list[np.ndarray], np.ndarray, float]:  # fmt: skip
     """State-transition matrices (m x m) of equal pieces of a period that begin at `starts` (or, if there is one, each
     where the one before ended), their ends with the first start, and the action."""
     nodes, action, half = [starts[0]], 0.0, starts.shape[1] // 2
@@ -302,7 +306,10 @@ def _pieces(
     pieces = []
     for k in range(PIECES):
         begin, span = starts[k] if len(starts) > 1 else nodes[-1], period * np.array([k, k + 1]) / PIECES
-        end, piece, done = varied_end(variational, begin, span, units, work, varied)
+        end, piece, done = varied_end(variational, begin, span, units, work, varied, traces)
+        if traces is not None and isinstance(varied, Extended):
+            with suppress(IntegrationError):
+                varied_end(variational, begin, span, units, work, VARIED, traces)
         pieces.append(piece)
         nodes.append(end)
         action += done
@@ -311,18 +318,36 @@ def _pieces(
 
 def varied_end(
     field: VectorField, start: np.ndarray, span: np.ndarray, units: np.ndarray, work: float,
-    settings: ReferenceSettings | Extended,
+    settings: ReferenceSettings | Extended, traces: list[Trace] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
     """Where a motion (m) ends, its state-transition matrix (m x m) and its action, by the field of all three, measured
-    in units (m) and in `work`; matrices to all of several times (k x m x m)."""
+    in units (m) and in `work`; matrices to all of several times (k x m x m). `traces` get the steps of DOP853 along the
+    motion and one of its variations."""
     measures = np.concatenate([units, (units[:, None] / units).ravel("F"), [work]])
     begin, size = np.concatenate([start, np.eye(start.size).ravel(), [0.0]]), start.size
     if isinstance(settings, Extended):
         rows = settings.along(measures, begin, span, getattr(field, "free", None), FIRST)[:, 0]
-    else:
+    elif traces is None:
         rows = integrate_in(measures, field, begin, span, settings)
+    else:  # by steps so short that four of them make a curve
+        longest, steps = np.ptp(span) / 8, list[Trace]()
+        rows = integrate_in(measures, field, begin, np.linspace(*span, 3), settings, longest, steps)[::2]
+        traces.append(_with_a_variation(steps[0], size))
     through = rows[1:, size:-1].reshape(-1, size, size).swapaxes(1, 2)
     return rows[-1, :size], through if len(span) > 2 else through[0], float(rows[-1, -1])
+
+
+def _with_a_variation(trace: Trace, size: int) -> Trace:
+    """The steps of a motion (m) with one of its variations, of those of all."""
+    direction = np.random.default_rng(0).normal(size=size)
+    ahead = trace.states[:, size:-1].reshape(-1, size, size).swapaxes(1, 2) @ (direction / np.linalg.norm(direction))
+
+    def rates(times: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        every = np.zeros((len(rows), trace.states.shape[1]))
+        every[:, : 2 * size] = rows
+        return trace.rates(times, every)[:, : 2 * size]
+
+    return Trace(trace.moments, np.hstack([trace.states[:, :size], ahead]), rates, trace.together)
 
 
 def evenly(period: float) -> np.ndarray:
@@ -628,7 +653,8 @@ def _sharpened(model: Model, motion: Motion, units: np.ndarray, quadruple: bool)
     path, missed = sums[:, 0].astype(float), (sums[-1] - sums[0]).sum(axis=0).astype(float)
     trace = drifting(_traced(equations.field, plain, units, sums, motion.times), motion.turns, units)
     at = np.searchsorted(motion.times, evenly(period)[:: SAMPLES // PIECES])
-    pieces, _, action = _pieces(equations, sums[at, 0], units, period, wide)
+    varying = list[Trace]()
+    pieces, _, action = _pieces(equations, sums[at, 0], units, period, wide, varying)
     through = None
     if quadruple:  # past encounters errors grow and shrink again by more than pieces hold
         halves = period * np.array([0.0, 0.5, 1.0])
@@ -636,7 +662,7 @@ def _sharpened(model: Model, motion: Motion, units: np.ndarray, quadruple: bool)
     return replace(
         motion, transitions=pieces, missed=missed, path=path, states=equations.states(path), action=action, trace=trace,
         precise=QUADRUPLE if quadruple else ROUND_OFF, through=through,
-        ended=equations.ended(path),
+        ended=equations.ended(path), varied=varying,
     )  # fmt: skip
 
 

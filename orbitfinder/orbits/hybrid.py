@@ -29,7 +29,7 @@ from orbitfinder.mechanics.hybrid import Hybrid, Transition, saltation, share
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.model import Model, energies, energy, wrapped
 from orbitfinder.mechanics.scales import extents_of, snapped
-from orbitfinder.orbits.between import Rates, overlooked, risen
+from orbitfinder.orbits.between import Rates, risen, unresolved
 from orbitfinder.orbits.closure import closes, gap, shift, shift_along
 from orbitfinder.orbits.evidence import CHECKED, ClosureCheck, Recomputed, StatesAt, Tour, in_extents, varied_end
 from orbitfinder.orbits.floquet import AREA, analyse, generated
@@ -129,7 +129,8 @@ class HybridEvidence(Recomputed):
     """What the simulated automaton says of a state: its arcs, how long they take, what must hold.
 
     Times and states are those of all arcs, those of events twice, before and after; `transversal` is the least rate at
-    which a guard is crossed, relative; `decided` the least |allowed| at a crossing.
+    which a guard is crossed, relative; `decided` the least |allowed| at a crossing; `varied` the steps of DOP853 along
+    the pieces of each arc, of the motion and one of its variations.
     """
 
     arcs: tuple[Arc, ...]
@@ -138,6 +139,7 @@ class HybridEvidence(Recomputed):
     balance: float
     transversal: float
     decided: float
+    varied: list[list[Trace]]
 
 
 def motion_of(arcs: Sequence[Arc]) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +157,7 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     times, states = motion_of(arcs)
     units = extents_of(model, states, period)
     automaton = Automaton.about(model, state, period)
-    variations, action = _variations(automaton, arcs)
+    variations, action, varied = _variations(automaton, arcs)
     pieces = in_extents(variations, units)
     rate = automaton.field(arcs[0].mode)(0.0, np.asarray(state, float)) / units
     slopes, ended = (invariant_gradients(model)(x).full().reshape(-1, units.size) * units for x in (state, end))
@@ -182,6 +184,7 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
         balance=balance,
         transversal=min(abs(arc.slope) for arc in arcs),
         decided=min(arc.decided for arc in arcs),
+        varied=varied,
     )
 
 
@@ -240,9 +243,11 @@ def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray
     return gap(state, arcs[-1].after, turns, units)
 
 
-def _variations(automaton: Automaton, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], float]:
-    """State-transition matrices of pieces of all arcs, the last of each through its event; and the action."""
+def _variations(automaton: Automaton, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], float, list[list[Trace]]]:
+    """State-transition matrices of pieces of all arcs, the last of each through its event; the action; and the steps
+    along the pieces of each arc, of the motion and one of its variations."""
     found, action, units = [], 0.0, automaton.units
+    varied = [list[Trace]() for _ in arcs]
     modes = [automaton.hybrid.mode(one.mode).model for one in arcs]
     for k, arc in enumerate(arcs):
         field, x, size = automaton.varied(arc.mode), arc.states[0], arc.states.shape[1]
@@ -252,13 +257,13 @@ def _variations(automaton: Automaton, arcs: Sequence[Arc]) -> tuple[list[np.ndar
         ]
         work = float(snapped(np.abs(rates).max() * arc.duration))
         for begin, finish in pairwise(edges):
-            x, piece, done = varied_end(field, x, np.array([begin, finish]), units, work, TIGHTEST)
+            x, piece, done = varied_end(field, x, np.array([begin, finish]), units, work, TIGHTEST, varied[k])
             found.append(piece)
             action += done
         event = automaton.hybrid.transition(str(arc.ended_by))
         jump = saltation(modes[k], event, modes[(k + 1) % len(modes)])
         found[-1] = jump(arc.states[-1], automaton.model.parameter_values).full() @ found[-1]
-    return found, action
+    return found, action, varied
 
 
 def _energies(model: Model, arcs: Sequence[Arc]) -> tuple[float, float]:
@@ -286,11 +291,11 @@ def unseen(model: Model, evidence: HybridEvidence) -> tuple[float, float, str]:
     guard, "" if there is none, that is crossed where the simulation saw nothing."""
     automaton, units = Automaton(model), evidence.extents
     changed, widest, crossed = 0.0, 0.0, ""
-    for arc in evidence.arcs:
+    for arc, varied in zip(evidence.arcs, evidence.varied, strict=True):
         rates = rates_of(scaled(automaton.field(arc.mode), units))[0]
         moments, kept = np.unique(arc.times - arc.times[0], return_index=True)
         trace = Trace(moments, arc.states[kept] / units, rates, True)
-        found, width, _ = overlooked(trace, LOOKS)
+        found, width, _ = unresolved(trace, varied)
         changed, widest = changed + found, max(widest, width)
         for one in automaton.hybrid.leaving(arc.mode):
 
