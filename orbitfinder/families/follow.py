@@ -45,7 +45,7 @@ from orbitfinder.loops.condensed import combined
 from orbitfinder.loops.conditions import pinned
 from orbitfinder.loops.continued import Curve, Solution, advanced, correct, distance, oriented, plane, tangent
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.loops.mesh import carried, regraded, settled
+from orbitfinder.loops.mesh import MESH, carried, regraded, settled, variation_errors
 from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import UNKNOWN, Batch, End, Event, FamilyPoint, Standing, reached
 
@@ -122,12 +122,13 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
             length, nearly = 2 * left, near.centre.moved(near.centre.vector - place.vector)
     if blocks is not None and not over:
         ahead = blocks.next(curve, (place, sample.whole, before.curvature), length)
-    if ahead is not None and not ahead.fits:
+    fits = ahead is not None and ahead.fits and variation_errors(curve, ahead.solution).max() < MESH.stale
+    if ahead is not None and not fits:
         nearly = ahead.solution.place.on(regraded(curve, ahead.solution))
         ahead = ahead if nearly.mesh is ahead.solution.place.mesh else None
     step = _corrected(run, before, length, nearly) if ahead is None else ahead
     raw, whole = step.solution, step.whole
-    solution = raw if ahead is not None and ahead.fits else settled(curve, raw, whole)
+    solution = raw if ahead is not None and fits else settled(curve, raw, whole)
     _check_symmetric(curve, solution)
     last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
     if curve.equations.links and (cut := _cut(run, before, last)) is not None:
@@ -168,7 +169,7 @@ def _check_symmetric(curve: Curve, solution: Solution) -> None:
     """`ConvergenceError` where the equations beside an orbit lack a symmetry by which a part of it stands for all."""
     p, states, place = curve.equations, solution.march.states, solution.place
     some = states[:: max(1, len(states) // TRIED)]
-    if lost := p.symmetry.lost_beside(p.model, some, curve.scales.states, curve.cycles, freed(curve, place)):
+    if lost := p.symmetry.lost_beside(p.model, some, curve.scales.states, place.period / 2, freed(curve, place)):
         change = lost.in_words(p.model.coordinates)
         raise ConvergenceError(
             f"the orbits keep to a symmetry that the equations lose there, which change under {change}; start from an "
@@ -307,6 +308,10 @@ def exact_points(
             solution = _solve_level(run, interval, a + (b - a) * (value - low) / (high - low), value)
             whole, along = tangent(curve, solution, first.whole), ahead(curve, first, solution)
             sample = make_sample(curve, along, solution, whole, interval.indices(along))
+        if (fit := settled(curve, sample.solution, sample.whole)) is not sample.solution:
+            if name not in curve.watch:
+                fit = correct(curve, fit.place, pinned(curve.equations, name, value), fit.place, interval.length)
+            sample = make_sample(curve, sample.distance, fit, tangent(curve, fit, sample.head), sample.indices)
         where: dict[str, Any] = {
             "index": before.point.index, "arclength": before.point.arclength + run.direction * sample.distance,
             "step": before.point.step, "role": role, "indices": sample.indices,

@@ -64,17 +64,15 @@ def needs_mesh(curve: Curve, solution: Solution, every: int) -> bool:
     """Whether the mesh is too coarse, or a segment too unstable for a point, by one in so many steps."""
     if march := curve.equations.gridded:
         return not march.fits(solution.place.nodes, solution.place.mesh, solution.place.tail)
-    some = _errors(curve, solution, every)
-    allowed = _allowed(curve)
-    if some.max() > MESH.coarse * allowed:
+    motion, variations = _errors(curve, solution, every)
+    if max(motion.max(), variations.max()) > MESH.coarse:
         return True
     rough = np.linalg.norm(_blocks(curve, solution), axis=(1, 2)).max()  # no smaller than the 2-norm
     if rough > MESH.steepest and _growths(curve, solution).max() > MESH.steepest:
         return True
-    if not ((some / allowed) ** 0.125).sum() * MESH.spare < some.size:
+    if not (motion**0.125).sum() * MESH.spare < motion.size:
         return False
-    errors = _errors(curve, solution)
-    return bool(wanted_steps(curve, solution, errors).sum() < 0.5 * errors.size)
+    return bool(_wanted(*_errors(curve, solution)).sum() < 0.5 * (solution.place.mesh.size - 1))
 
 
 def _allowed(curve: Curve) -> float:
@@ -82,11 +80,23 @@ def _allowed(curve: Curve) -> float:
     return STEP_ERROR if curve.test is None else STEP_ERROR / MESH.coarse
 
 
-def _errors(curve: Curve, solution: Solution, every: int = 1) -> np.ndarray:
-    """Estimated errors of all steps, or of one in so many."""
-    place = solution.place
+def _errors(curve: Curve, solution: Solution, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Estimated errors of all steps, or of one in so many, and of their state-transition matrices, each in what it may
+    be on a fresh mesh."""
+    place, march = solution.place, curve.equations.march
     asked = np.arange(0, place.mesh.size - 1, every)
-    return curve.equations.march.step_errors(solution.march.states, place.mesh, place.tail, curve.units, asked)
+    motion = march.step_errors(solution.march.states, place.mesh, place.tail, curve.units, asked)
+    return motion / _allowed(curve), variation_errors(curve, solution)
+
+
+def variation_errors(curve: Curve, solution: Solution) -> np.ndarray:
+    """The same of the state-transition matrices of all steps, of which those of a large system are asked of every
+    third: a motion that goes on as smoothly may come to where its variations are fast."""
+    place, march = solution.place, curve.equations.march
+    every, count = MESH.sampled if march.wide else 1, place.mesh.size - 1
+    asked, units = np.arange(0, count, every), curve.scales.states
+    errors = march.variation_errors(solution.march.states, place.mesh, place.tail, units, asked)
+    return np.repeat(errors / MESH.variation_error, every)[:count]
 
 
 def _growths(curve: Curve, solution: Solution) -> np.ndarray:
@@ -101,14 +111,9 @@ def _blocks(curve: Curve, solution: Solution) -> np.ndarray:
     return np.asarray(blocks)
 
 
-def wanted_steps(curve: Curve, solution: Solution, errors: np.ndarray) -> np.ndarray:
-    """(error / allowed)^(1/8), the number of steps that each present one (M) should become, for the motion, whose
-    `errors` are known, and its variations, of which every third step is asked."""
-    place, units = solution.place, curve.scales.states
-    asked = np.arange(0, errors.size, MESH.sampled)
-    varied = curve.equations.march.variation_errors(solution.march.states, place.mesh, place.tail, units, asked)
-    variations = np.repeat((varied / MESH.variation_error) ** 0.125, MESH.sampled)[: errors.size]
-    return np.maximum((errors / _allowed(curve)) ** 0.125, variations)
+def _wanted(motion: np.ndarray, variations: np.ndarray) -> np.ndarray:
+    """(error / allowed)^(1/8), the number of steps that each present one (M) should become, for both of `_errors`."""
+    return np.asarray(np.maximum(motion, variations) ** 0.125)
 
 
 def _spread(density: np.ndarray) -> np.ndarray:
@@ -145,7 +150,7 @@ def remeshed(curve: Curve, solution: Solution) -> Unknowns:
 
 def _asked(curve: Curve, solution: Solution, fewest: int, arcs: int) -> tuple[np.ndarray, int]:
     """The density (arcs x M) of a fresh mesh, and the segments of each arc, `fewest` at least."""
-    density = np.maximum(wanted_steps(curve, solution, _errors(curve, solution)), 0.15).reshape(arcs, -1)
+    density = np.maximum(_wanted(*_errors(curve, solution)), 0.15).reshape(arcs, -1)
     density = np.array([_spread(part) for part in density])
     growth = np.log(np.maximum(_growths(curve, solution), 1.5)).reshape(arcs, -1).sum(axis=1).max()
     if not density.sum() < MESH.most_steps:
@@ -166,7 +171,7 @@ def fitted(curve: Curve, place: Unknowns, several: bool = True) -> Unknowns:
                 return place.on(divided(place.mesh, 2))
             for _ in range(2):
                 solution = Solution(place, p.varied(place, states=True), np.zeros((0, 0)), 0.0)
-                if times and not tries[-1] and _errors(curve, solution).max() > UNEVEN:
+                if times and not tries[-1] and _errors(curve, solution)[0].max() * _allowed(curve) > UNEVEN:
                     raise ConvergenceError("equal steps lose the motion")
                 place = remeshed(curve, solution)
             break
@@ -254,9 +259,9 @@ def regraded(curve: Curve, solution: Solution) -> np.ndarray:
     if curve.equations.gridded:
         return solution.place.mesh
     place, errors = solution.place, _errors(curve, solution)
-    if errors.max() < MESH.stale * _allowed(curve):
+    if np.max(errors) < MESH.stale:
         return place.mesh
-    density = _spread(np.maximum(wanted_steps(curve, solution, errors), 0.15)).reshape(len(place.nodes), -1)
+    density = _spread(np.maximum(_wanted(*errors), 0.15)).reshape(len(place.nodes), -1)
     needed = density.sum(axis=1)
     if not needed.max() < min(MESH.uneven * needed.mean(), MESH.most_steps / len(needed)):
         return place.mesh  # the segments themselves are in the wrong place, which `settled` sees in time

@@ -424,23 +424,18 @@ class Symmetry:
                 )
 
     def lost_beside(
-        self,
-        model: Model,
-        states: np.ndarray,
-        units: np.ndarray,
-        cycles: int = 0,
-        free: Mapping[str, float] | None = None,
+        self, model: Model, states: np.ndarray, units: np.ndarray, half: float, free: Mapping[str, float]
     ) -> Involution | None:
-        """An involution of it that the equations lack, with parameters of these values, beside states (k x 2n) of a
-        motion that has it, measured in `units` (2n): a motion may go on as symmetric to where its equations are not.
+        """An involution of it that the equations lack, with parameters `free` of these values, beside states (k x 2n)
+        of a motion that has it, `half` its period, in `units` (2n): it may go on to where the equations lose it.
         """
-        random, n, driven = np.random.default_rng(0), model.degrees_of_freedom, model.forcing_period is not None
+        random, n = np.random.default_rng(0), model.degrees_of_freedom
         away = RECOGNISED.beside * (model.constraint is None) * units * random.normal(size=states.shape)
         near, values = states + away, model.values_of(model.parameter_names)
-        for name, value in (free or {}).items():
+        for name, value in free.items():
             values[model.parameter_names.index(name)] = value
         for each in self.maps:
-            shift = cycles * model.driving_period / 2 if driven and each.sense > 0 else 0.0
+            shift = half if model.forced and each.sense > 0 else 0.0
             times = random.uniform(0, float(snapped(shift)) + 2 * shift, (1, len(states)))
             at = [times, *(part.T for part in np.split(near, [n], axis=1) if part.size), values]
             pair = images(model, each.sense, ca.DM(each.places(n)), at, shift).full() / units[:n, None]
