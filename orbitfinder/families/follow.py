@@ -308,7 +308,8 @@ def exact_points(
             solution = _solve_level(run, interval, a + (b - a) * (value - low) / (high - low), value)
             whole, along = tangent(curve, solution, first.whole), ahead(curve, first, solution)
             sample = make_sample(curve, along, solution, whole, interval.indices(along))
-        if (fit := settled(curve, sample.solution, sample.whole)) is not sample.solution:
+        if not curve.equations.gridded and variation_errors(curve, sample.solution).max() > MESH.coarse:
+            fit = settled(curve, sample.solution, sample.whole)
             if name not in curve.watch:
                 fit = correct(curve, fit.place, pinned(curve.equations, name, value), fit.place, interval.length)
             sample = make_sample(curve, sample.distance, fit, tangent(curve, fit, sample.head), sample.indices)

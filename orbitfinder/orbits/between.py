@@ -130,7 +130,8 @@ def overlooked(
             suspects.append((worst, trace, k, max(own[0] - near, times[k]), min(own[-1] + near, times[k + 1]), near))
         widest, count = max(widest, width), count + moments.size
     suspects.sort(key=lambda each: -each[0])
-    changed = sum(_retaken(trace, k, begin, end, near / FINER) for _, trace, k, begin, end, near in suspects[:RETAKEN])
+    own = (_retaken(trace, k, begin, end, near / FINER) for _, trace, k, begin, end, near in suspects[:RETAKEN])
+    changed = sum(own, 0.0)
     return changed, widest if count else 1.0, count
 
 
