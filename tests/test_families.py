@@ -436,7 +436,8 @@ def test_a_check_goes_round_from_the_nodes(wild):
     alone, piecewise, known = gone(None), gone((times, states)), point.indices[0].real
     off = abs(index(piecewise) - known)
     # The variations of each piece are known to 1e-13 of its norm in each of some steps, which the others carry on; the
-    # eigenvalue's condition is 1.3. From the start alone it was off by 9e-4; both are round-off, which differs from processor to processor.
+    # eigenvalue's condition is 1.3. From the start alone it was off by 9e-4; both are round-off, which differs from
+    # processor to processor.
     befores = [np.eye(4), *accumulate(piecewise.pieces, lambda before, piece: piece @ before)]
     afters = [np.eye(4), *accumulate(reversed(piecewise.pieces), np.matmul)][::-1]
     norms = np.linalg.norm([befores[:-1], piecewise.pieces, afters[1:]], 2, axis=(2, 3))

@@ -57,8 +57,6 @@ ECHO = 1e-2
 """Arclength before a junction of two families within which nothing else is reported."""
 ROUND_OFF = 1e-15
 """Arclength within which a watched number is met"""
-TRIED = 24
-"""States of an orbit beside which its symmetry of the equations is tried again"""
 Member = TypeVar("Member", FamilyPoint, Event)
 
 
@@ -168,7 +166,7 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
 def _check_symmetric(curve: Curve, solution: Solution) -> None:
     """`ConvergenceError` where the equations beside an orbit lack a symmetry by which a part of it stands for all."""
     p, states, place = curve.equations, solution.march.states, solution.place
-    some = states[:: max(1, len(states) // TRIED)]
+    some = states[:: max(1, len(states) // 24)]
     if lost := p.symmetry.lost_beside(p.model, some, curve.scales.states, place.period / 2, freed(curve, place)):
         change = lost.in_words(p.model.coordinates)
         raise ConvergenceError(

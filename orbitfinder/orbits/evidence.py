@@ -331,7 +331,7 @@ def varied_end(
         rows = integrate_in(measures, field, begin, span, settings)
     else:  # by steps so short that four of them make a curve
         longest, steps = np.ptp(span) / 8, list[Trace]()
-        rows = integrate_in(measures, field, begin, np.linspace(*span, 3), settings, longest, steps)[::2]
+        rows = integrate_in(measures, field, begin, np.linspace(span[0], span[-1], 3), settings, longest, steps)[::2]
         traces.append(_with_a_variation(steps[0], size))
     through = rows[1:, size:-1].reshape(-1, size, size).swapaxes(1, 2)
     return rows[-1, :size], through if len(span) > 2 else through[0], float(rows[-1, -1])
