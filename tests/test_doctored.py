@@ -107,6 +107,13 @@ def point_passes(path):
     return point_checks(family, 0, certify(orbit), build_model(family.system)).passed
 
 
+def test_a_point_with_too_few_indices_is_refused():
+    """It ended in an UnboundLocalError."""
+    family, orbit = load_family(FAMILY), load_orbit(f"{FAMILY}#5")
+    cut = replace(family, points=(replace(family.points[5], indices=family.points[5].indices[:-1]),))
+    assert point_checks(cut, 0, certify(orbit), build_model(family.system)).failures == ("indices",)
+
+
 def family_passes(path):
     family = load_family(path)
     return all(check.passed for _, check in verified(family, build_model(family.system)))

@@ -107,7 +107,7 @@ def test_an_outline_is_short_and_says_what_is_left_out():
 
 def test_every_answer_that_is_named_is_there():
     for kind in registry.kinds().values():
-        for verb in ("read", "one", "facts", *registry.VERBS):
+        for verb in ("read", "one", "facts", "prove", "replay", *registry.VERBS):
             named = getattr(kind, verb)
             if isinstance(named, str) and ":" in named:
                 assert callable(registry.loaded(named))

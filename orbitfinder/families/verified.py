@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -107,7 +107,6 @@ SETTLED = 1e-6
 SHARES = ((3e-3, 0), (3e-4, 0), (5e-2, 1), (2e-1, 1), (5e-1, 1), (1.0, 1))
 """How far the orbits on both sides are, in steps of the family, and whether there are others twice as far: the nearer
 ones where two events share a step, the farthest where a parameter hardly moves beyond its round-off, as in a canard"""
-_Member = TypeVar("_Member", FamilyPoint, Event)
 STEPS = 480
 """Steps of a period on which an orbit is marched of which the nodes are not known"""
 
@@ -227,10 +226,16 @@ def verified(family: Family, model: Model) -> Iterator[tuple[str, Check]]:
         interrupt.check()
         yield f"event {k}, {family.parameter} {event.parameter:.12g}", _event(family, curve, event)
     for k, end in enumerate(family.ends):
-        at = family.points[0 if k == 0 and len(family.ends) > 1 else -1]
-        if len(family.ends) == 1 and family.points[-1].arclength == 0:
-            at = family.points[0]
-        yield f"end {k}", _end(family, curve, end, at)
+        first = k == 0 and (len(family.ends) > 1 or family.points[-1].arclength == 0)
+        at = family.points[0 if first else -1]
+        try:
+            if fault := end_fault(end, (event.kind for event in family.events)):
+                raise ConvergenceError(f"{fault}; {AGAIN}")
+            with np.errstate(all="ignore"):  # what overflows is no number, and fails its check
+                known = SOLVED.get(end.kind, _happened)(family, curve, end, at)
+        except (ConvergenceError, IntegrationError, ValueError, LookupError, TypeError, ArithmeticError) as error:
+            known = refused(end.kind, error, np.nan)
+        yield f"end {k}", known
     for name in dict.fromkeys(name for point in family.points for name in point.watch):
         yield f"watch.{name} of {plural(len(family.points), 'orbit')}", _column(family, curve, name)
 
@@ -303,34 +308,49 @@ def family_curve(family: Family, model: Model) -> Curve:
 def _event(family: Family, curve: Curve, event: Event) -> Check:
     try:
         before, after = _neighbours(family, event)
-        _told(family, curve, event, abs(after.value - before.value), abs(after.energy - before.energy))
-        along, step, old = _head(after) - _head(before), after.arclength - before.arclength, event.check
+        here = Probe(curve, settled_on(curve, _alone(event)))  # whose numbers are those of its state
+        for name, value, moved in ((family.parameter, event.parameter, after.value - before.value),
+                                   ("energy", event.energy, after.energy - before.energy)):  # fmt: skip
+            there = here.value(name)
+            if np.isfinite(there) and abs(there - value) > ROUNDED * abs(there) + SAME_STEP * abs(moved):
+                raise ConvergenceError(f"{name} is {there:.15g} there, recorded {value:.15g}")
+        if event.symmetry != curve.equations.symmetry.name:
+            raise ConvergenceError(f"symmetry {event.symmetry} is not the family's")
+        for name in {**family.curve.get("watch", {}), **event.watch}:
+            if not (known := _watch(curve, _alone(event), name)).passed:
+                raise ConvergenceError(known.note)
+        along, old = _head(after) - _head(before), event.check
         event, along = reverted(event), along if event.arclength >= 0 else -along  # as it was followed
-        if event.gap is not None and curve.test is None:
-            _sided(curve, event, along, (before, after)[:: 1 if event.arclength >= 0 else -1])
-        again = _read_again(curve, event, along, step, family.parameter)
+        if event.gap is not None and curve.test is None:  # avoided: crossed or followed, as it says, from its own side
+            members = (before, event, after)[:: 1 if event.arclength >= 0 else -1]
+            orbits = [settled_on(curve, _alone(each)) for each in members]
+            first, middle, last = (oriented(curve, each, tangent(curve, each, along)) for each in orbits)
+            if first != middle:
+                raise ConvergenceError("the orbit is the other family's")
+            if event.detail != AVOIDED[first != last]:
+                raise ConvergenceError(f"it was {AVOIDED[first != last]}")
+        step = after.arclength - before.arclength
+        read = partial(reading, curve, along=along, step=step, parameter=family.parameter)
+        try:
+            again = read(_alone(event))
+        except (ConvergenceError, IntegrationError):
+            if not event.mesh.size:
+                raise
+            again = Reading(np.nan, np.nan, False)
+        if not again.passed and event.mesh.size and np.array_equal(event.state, event.shooting_nodes[0]):
+            again = read(event)  # of an orbit that is lost from its start alone what its nodes say, which join
         if old is not None and not (old.passed and abs(old.value - again.value) <= old.error + again.error):
             raise ConvergenceError(f"recorded as {old.value:.3g} +- {old.error:.1g}, found {again.value:.3g}")
         if old is not None and old.criticality and old.criticality != again.criticality:
             raise ConvergenceError(f"recorded as {old.criticality}, found {again.criticality or 'neither'}")
         sharper = _too_sharp(event, again)
         if sharper and event.mesh.size:  # by its nodes it is known better than by its state alone
-            sharper = _too_sharp(event, reading(curve, event, along, step, family.parameter))
+            sharper = _too_sharp(event, read(event))
         if sharper:
             raise ConvergenceError(sharper)
     except (ConvergenceError, IntegrationError) as error:
         return refused(event.kind, error, np.nan)
     return at_most(event.kind, abs(again.value), again.error, event.detail, again.passed)
-
-
-def _sided(curve: Curve, event: Event, along: np.ndarray, members: Sequence[FamilyPoint]) -> None:
-    """Raises `ConvergenceError` unless an avoided crossing was crossed or followed, as it says, from its own side."""
-    orbits = [settled_on(curve, each) for each in (_alone(members[0]), _alone(event), _alone(members[1]))]
-    first, here, last = (oriented(curve, each, tangent(curve, each, along)) for each in orbits)
-    if first != here or event.detail != AVOIDED[first != last]:
-        raise ConvergenceError(
-            f"it was {AVOIDED[first != last]}" if first == here else "the orbit is the other family's"
-        )
 
 
 def _too_sharp(event: Event, again: Reading) -> str:
@@ -342,22 +362,10 @@ def _too_sharp(event: Event, again: Reading) -> str:
     return ""
 
 
-def _read_again(curve: Curve, event: Event, along: np.ndarray, step: float, parameter: str) -> Reading:
-    """What an event's state alone says; of an orbit that is lost from its start alone what its nodes do, which join."""
-    try:
-        again = reading(curve, _alone(event), along, step, parameter)
-    except (ConvergenceError, IntegrationError):
-        if not event.mesh.size:
-            raise
-        again = Reading(np.nan, np.nan, False)
-    nodes = event.mesh.size > 0 and np.array_equal(event.state, event.shooting_nodes[0])
-    return again if again.passed or not nodes else reading(curve, event, along, step, parameter)
-
-
-def _alone(event: _Member) -> _Member:
-    """The event as its state says it, without what a file beside it says."""
+def _alone(member: Any) -> Any:
+    """A point or event as its state says it, without what a file beside it says."""
     nothing = np.zeros(0)
-    return replace(event, shooting_nodes=nothing.reshape(0, 0), mesh=nothing, tangent=nothing)
+    return replace(member, shooting_nodes=nothing.reshape(0, 0), mesh=nothing, tangent=nothing)
 
 
 def _head(member: FamilyPoint) -> np.ndarray:
@@ -366,39 +374,13 @@ def _head(member: FamilyPoint) -> np.ndarray:
 
 def _neighbours(family: Family, event: Event) -> tuple[FamilyPoint, FamilyPoint]:
     """The points between which an event is."""
-    if not 0 <= event.index < len(family.points) - 1:
-        if len(family.points) > 1 and -1 <= event.index <= len(family.points) - 1:  # beyond the last one, where it ends
-            return tuple(family.points[:2] if event.index < 0 else family.points[-2:])  # type: ignore[return-value]
+    k = min(max(event.index, 0), len(family.points) - 2)
+    if k < 0 or abs(event.index - k) > 1:  # it may be beyond the last one, where the family ends
         raise ConvergenceError(f"there is no step {event.index} in which it could be")
-    before, after = family.points[event.index : event.index + 2]
-    if not before.arclength <= event.arclength <= after.arclength:
+    before, after = family.points[k], family.points[k + 1]
+    if event.index == k and not before.arclength <= event.arclength <= after.arclength:
         raise ConvergenceError(f"arclength {event.arclength:.9g} is not in step {event.index}")
     return before, after
-
-
-def _told(family: Family, curve: Curve, event: Event, change: float, exchanged: float) -> None:
-    """Raises `ConvergenceError` unless an event's numbers are those of its state."""
-    here = Probe(curve, settled_on(curve, _alone(event)))
-    for name, value, moved in ((family.parameter, event.parameter, change), ("energy", event.energy, exchanged)):
-        value_there = here.value(name)
-        if np.isfinite(value_there) and abs(value_there - value) > ROUNDED * abs(value_there) + SAME_STEP * moved:
-            raise ConvergenceError(f"{name} is {value_there:.15g} there, recorded {value:.15g}")
-    if event.symmetry != curve.equations.symmetry.name:
-        raise ConvergenceError(f"symmetry {event.symmetry} is not the family's")
-    for name in {**family.curve.get("watch", {}), **event.watch}:
-        if not (known := _watch(curve, _alone(event), name)).passed:
-            raise ConvergenceError(known.note)
-
-
-def _end(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
-    check = SOLVED.get(end.kind, _happened)
-    try:
-        if fault := end_fault(end, (event.kind for event in family.events)):
-            raise ConvergenceError(f"{fault}; {AGAIN}")
-        with np.errstate(all="ignore"):  # what overflows is no number, and fails its check
-            return check(family, curve, end, at)
-    except (ConvergenceError, IntegrationError, ValueError, LookupError, TypeError, ArithmeticError) as error:
-        return refused(end.kind, error, np.nan)
 
 
 def _steps(family: Family, at: FamilyPoint) -> list[FamilyPoint]:
@@ -521,18 +503,11 @@ def _blown_up(node: bool, many: bool, family: Family, curve: Curve, end: End, at
         limit = _limit(node, family, curve, end, at)
         off += [abs(limit[0] - value) / (limit[1] + error), 0.0 if node else SHARPER * limit[1] / nonzero(error)]
         free |= {name: value for name in free if name == family.parameter}
-    model = with_parameters(curve.equations.model, free)
-    equations = hamilton(model)
-    linearised = _linearised(equations)
     for saddle in end.saddles or ():
-        x = np.array(saddle["state"])[equations.coordinates.chosen]
-        if model.rates is None:
-            off.append(float(np.abs(x[equations.coordinates.size :]).max()) / SETTLED)
-            x[equations.coordinates.size :] = 0.0
-        rest = equilibrium(linearised, x, max(1.0, float(np.abs(x).max())))
-        again, told = np.linalg.eigvals(linearised(rest.w)[1]), np.array(saddle["eigenvalues"]) @ [1, 1j]
-        gaps = np.abs(again[:, None] - told)
-        off += [float(np.abs(rest.w - x).max()) / (SETTLED * max(1.0, float(np.abs(x).max()))),
+        x, moving, rest, slopes = _at_rest(with_parameters(curve.equations.model, free), np.array(saddle["state"]))
+        told = np.array(saddle["eigenvalues"]) @ [1, 1j]
+        gaps = np.abs(np.linalg.eigvals(slopes)[:, None] - told)
+        off += [moving / SETTLED, float(np.abs(rest - x).max()) / (SETTLED * max(1.0, float(np.abs(x).max()))),
                 float(gaps[linear_sum_assignment(gaps)].max()) / (SETTLED * float(np.abs(told).max()))]  # fmt: skip
     return at_most(end.kind, np.max(off), 1.0, "of the period's growth, the saddles and the parameter, the most wrong")
 
@@ -552,15 +527,21 @@ def _limit(node: bool, family: Family, curve: Curve, end: End, at: FamilyPoint) 
     return limit[:2]
 
 
-def _linearised(equations: Any) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """The rates and their slopes by canonical equations."""
-    variational = vector_field(equations.variational)
+def _at_rest(model: Model, state: np.ndarray) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+    """A state in the coordinates of canonical equations, without its velocities, the largest of these, the equilibrium
+    near it, and the slopes of the rates there."""
+    equations = hamilton(model)
+    variational, y, moving = vector_field(equations.variational), state[equations.coordinates.chosen], 0.0
+    if model.rates is None:
+        moving = float(np.abs(y[equations.coordinates.size :]).max())
+        y[equations.coordinates.size :] = 0.0
 
     def linearised(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         varied = variational(0.0, np.concatenate([y, np.eye(y.size).ravel(), [0.0]]))
         return varied[: y.size], varied[y.size : -1].reshape(y.size, y.size, order="F")
 
-    return linearised
+    rest = equilibrium(linearised, y, max(1.0, float(np.abs(y).max()))).w
+    return y, moving, rest, linearised(rest)[1]
 
 
 def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
@@ -571,16 +552,10 @@ def _rest(family: Family, curve: Curve, end: End, at: FamilyPoint) -> Check:
     free = dict(at.free) | ({family.parameter: value} if value is not None and family.parameter in at.free else {})
     model, there = (with_parameters(curve.equations.model, values) for values in (free, at.free))
     states = gather(there, at.state, at.period, turned(model, np.array(curve.turns), at.shift)).states
-    equations = hamilton(model)
-    y = 0.5 * (states.max(axis=0) + states.min(axis=0))[equations.coordinates.chosen]
-    if model.rates is None:
-        y[equations.coordinates.size :] = 0.0
-    linearised = _linearised(equations)
-    rest = equilibrium(linearised, y, max(1.0, float(np.abs(y).max())))
-    slopes = linearised(rest.w)[1]
+    y, _, rest, slopes = _at_rest(model, 0.5 * (states.max(axis=0) + states.min(axis=0)))
     if model.rates is not None and model.invariants:  # those that change there keep the values of the orbit
-        jets = at_rest(model, (), rest.w)
-        kept, z = jets.kept_at(states[0]), np.append(rest.w, np.zeros(jets.extra))
+        jets = at_rest(model, (), rest)
+        kept, z = jets.kept_at(states[0]), np.append(rest, np.zeros(jets.extra))
 
         def held(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             whole = jets.first(z, np.zeros(0), kept)
@@ -662,23 +637,16 @@ def point_checks(family: Family, number: int, certificate: Certificate, model: M
     grown = growth(curve, look.solution, spectrum(curve, look.solution), extents(curve, look.solution.march.states))
     if grown <= UNKNOWN:  # whatever the record says of that
         try:
-            checks += _maps(look, point, grown)
+            about, apart, here = look.about, np.inf, point.indices
+            wanted = about.roots if about.conservative else np.zeros(0)
+            if wanted.shape == here.shape:
+                gaps = np.abs(here[:, None] - wanted) / np.maximum(1.0, np.abs(wanted))
+                apart = float(gaps[linear_sum_assignment(gaps)].max(initial=0.0))
+            checks.append(at_most("indices", apart, ALIKE + 1e-12 * grown, "recorded - recomputed, relative"))
+            signs = look.tour.krein(point.floquet_multipliers)
+            own = point.krein or (0,) * len(signs)  # none are recorded of a gait
+            alike = len(signs) == len(own) and all(a == b or not sure for (a, sure), b in zip(signs, own, strict=True))
+            checks.append(equal("krein", not alike, 0.0, "signatures of multipliers on the unit circle"))
         except (ConvergenceError, IntegrationError) as error:
             checks.append(refused("indices", error))
     return Certificate((*certificate.checks, *checks), certificate.scale, certificate.closure)
-
-
-def _maps(look: Probe, point: FamilyPoint, grown: float) -> Iterator[Check]:
-    """The stability indices and the Krein signatures."""
-    about, here = look.about, point.indices
-    wanted = about.roots if about.conservative else np.zeros(0)
-    apart = np.inf
-    if wanted.shape == here.shape:
-        gaps = np.abs(here[:, None] - wanted[None, :]) / np.maximum(1.0, np.abs(wanted))
-        apart = float(gaps[linear_sum_assignment(gaps)].max(initial=0.0))
-        allowed = ALIKE + 1e-12 * grown
-    yield at_most("indices", apart, allowed, "recorded - recomputed, relative")
-    signs = look.tour.krein(point.floquet_multipliers)
-    own = point.krein or (0,) * len(signs)  # none are recorded of a gait
-    alike = len(signs) == len(own) and all(a == b or not sure for (a, sure), b in zip(signs, own, strict=True))
-    yield equal("krein", not alike, 0.0, "signatures of multipliers on the unit circle")

@@ -169,6 +169,18 @@ class Versioned:
         """What it was made by."""
         return {"orbitfinder": __version__, "python-flint": FLINT}
 
+    @property
+    def kept(self: Any) -> bool:
+        """Whether it is worth a file."""
+        return bool(self.proved)
+
+    @property
+    def lines(self: Any) -> list[str]:
+        """Whether it is proved, and line by line what, or why not."""
+        if not self.proved:
+            return [f"not proved: {self.reason}"]
+        return [f"proved in {self.wall_time:.1f} s", *(f"  {name:<12}{said}" for name, said in self.words)]
+
 
 def identity(size: int) -> Any:
     """The unit matrix."""

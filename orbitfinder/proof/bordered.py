@@ -61,7 +61,6 @@ from orbitfinder.proof.record import (
     MARGIN,
     Same,
     bounding,
-    checked,
     contradictions,
     done_again,
     enclosure,
@@ -76,18 +75,22 @@ from orbitfinder.proof.theorem import (
     NotProved,
     Options,
     Progress,
+    Proving,
     certain,
     check_graph,
     check_motion,
+    checked,
+    chosen_options,
     chosen_symmetry,
     enclosed,
     frequency,
     provable_model,
+    refuse,
     silent,
 )
 from orbitfinder.proof.trajectory import horizon, minimal_period, positive_mass
 from orbitfinder.records.codec import Codec, plain
-from orbitfinder.records.family import Event, Family
+from orbitfinder.records.family import Event, Family, load_family
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import Table
 
@@ -630,6 +633,16 @@ def _prove_doubling(family: Family, event: Event, model: Model, options: Options
     return proof
 
 
+def proving(asked: Table) -> Proving:
+    """How the event of a family is proved that is asked for. Raises `InputError`."""
+    number, options = asked["event"], chosen_options(asked, order=24, tolerance=1e-19)
+    refuse(asked, "is for orbits; a single event is proved here", *vars(options), "event")
+    return Proving(
+        lambda family, model, say: prove_event(family, number, model, options, say), events.document, events,
+        "--event: give a single FAMILY.json", load_family, file=f"event-{number}-proof.json", part=f": event {number}",
+    )  # fmt: skip
+
+
 def read_event(path: Path) -> BorderedRecord:
     """An event-proof.json. Raises `InputError`."""
     record = events.load(path)
@@ -657,3 +670,10 @@ def false_claims(record: BorderedRecord, fresh: BorderedRecord) -> list[str]:
     compared: dict[str, Same] = {"proved": eq, "kind": eq, "side": eq, "contraction": bounding}
     compared |= dict.fromkeys(("value", "energy", "period", "state", "tangent"), holds)
     return list(contradictions(plain(record), plain(fresh), compared).values())
+
+
+def replay(path: Path, trusted: Path | None, progress: Progress) -> tuple[BorderedRecord, list[str], str]:
+    """The proof in an event-proof.json done again (see `Kind.replay`)."""
+    record = read_event(path)
+    fresh = replayed_event(record, build_model(dict(record.system), trusted), progress)
+    return fresh, false_claims(record, fresh), fresh.kind.replace("_", " ")

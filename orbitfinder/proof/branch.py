@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 from orbitfinder.families.passages import index_levels
 from orbitfinder.loops.symmetry import named
 from orbitfinder.mechanics.kind import build_model
@@ -63,18 +63,21 @@ from orbitfinder.proof.theorem import (
     UNPROVED,
     NotProved,
     Progress,
+    Proving,
     check_graph,
     check_motion,
     chosen_symmetry,
     enclosed,
     make_equations,
     provable_model,
+    refuse,
     silent,
     unknowns_at,
 )
 from orbitfinder.proof.trajectory import Trajectory, horizon, minimal_period, trajectory
 from orbitfinder.records.codec import Codec
-from orbitfinder.records.family import Family
+from orbitfinder.records.family import Family, load_family
+from orbitfinder.records.reading import Table
 
 ROUGH = TaylorSettings(order=12, bits=80, tolerance=1e-14)
 """How the centres of a branch's boxes are found"""
@@ -241,6 +244,19 @@ class ProvedBranch(Record):
     """What was proved of a family over energies from `low` to `high`, or why nothing was."""
 
     formulation: Formulation = field(kw_only=True)
+
+    @property
+    def words(self) -> list[tuple[str, str]]:
+        """What is proved, line by line."""
+        what = f"{self.formulation.symmetry.name} orbit" if self.formulation.symmetry.maps else "orbit"
+        rows = [("branch", f"exactly one {what} for each energy from {self.low!r} to {self.high!r} J in the boxes of "
+                           f"{plural(len(self.pieces), 'piece')}, without a gap")]  # fmt: skip
+        for event in self.passages:
+            verdict = "proved" if event.proved else "NOT PROVED, no change of sign"
+            more = f"; {event.kept} orbits branch off" if event.kept else ""
+            said = f"{event.kind.replace('_', ' ')}, nu + 1/nu = {event.level:.6g}"
+            rows.append(("event", f"{said}: {event.test} from {event.low} to {event.high}: {verdict}{more}"))
+        return rows
 
 
 def tests(path: Trajectory, level: float) -> dict[str, tuple[Any, str]]:
@@ -435,6 +451,33 @@ def prove_branch(
         return _concluded(empty, run, codes, asked, lambda: run.pieces(unknowns_at(start), low, high, first))
 
 
+def proving(asked: Table) -> Proving:
+    """How the part of a family is proved that is asked for. Raises `InputError`."""
+    low, high = asked["from"], asked["to"]
+    alone = "--from, --to: give both, and one FAMILY.json"
+    if low is None or high is None:
+        raise InputError(alone)
+    refuse(asked, "is for single orbits; a branch chooses its own", "symmetry", "from", "to", "event")
+
+    def check(path: Path) -> None:
+        """`InputError` where a proof of more than this is there."""
+        try:
+            known = read_branch(path)
+        except InputError:  # damaged, of an older version, or none
+            return
+        if known.proved and not low <= known.low <= known.high <= high:
+            raise InputError(f"{path}: from: {known.low!r} to {known.high!r} is proved there, and {low!r} to {high!r} "
+                             "asked for; that is not written over: give a wider range, --no-record, or move that file"
+                             )  # fmt: skip
+
+    return Proving(
+        lambda family, model, say: prove_branch(family, low, high, model, say, asked["symmetry"]),
+        lambda branch: {"passed": branch.proved and all(event.proved for event in branch.passages)}
+        | branch_document(branch),
+        RECORDS, alone, load_family, "branch-proof.json", check=check,
+    )  # fmt: skip
+
+
 def replayed(branch: ProvedBranch, model: Model | None = None, progress: Progress | None = None) -> ProvedBranch:
     """A recorded proof of a branch done again, from its pieces. Raises `InputError`."""
     with precision(ROUGH.bits):
@@ -517,3 +560,12 @@ def read_branch(path: Path) -> ProvedBranch:
     if not (fits and positive and record.segments > 0):
         raise InputError(f"{path}: pieces: do not fit the system or its symmetry; {AGAIN}")
     return ProvedBranch(**vars(record), formulation=form)
+
+
+def replay(path: Path, trusted: Path | None, progress: Progress) -> tuple[ProvedBranch, list[str], str]:
+    """The proof in a branch-proof.json done again (see `Kind.replay`)."""
+    recorded = read_branch(path)
+    fresh = replayed(recorded, build_model(dict(recorded.system), trusted), progress)
+    wrong = contradictions(recorded, fresh) if fresh.proved else [fresh.reason]
+    events = sum(passage.proved for passage in fresh.passages)
+    return fresh, wrong, f"{plural(len(fresh.pieces), 'piece')}, {plural(events, 'event')}"

@@ -68,7 +68,6 @@ from orbitfinder.proof.record import (
     MARGIN,
     Same,
     bounding,
-    checked,
     contradictions,
     done_again,
     enclosure,
@@ -82,10 +81,14 @@ from orbitfinder.proof.theorem import (
     NotProved,
     Options,
     Progress,
+    Proving,
     check_graph,
     check_motion,
+    checked,
+    chosen_options,
     enclosed,
     provable_system,
+    refuse,
     silent,
 )
 from orbitfinder.proof.trajectory import (
@@ -760,6 +763,16 @@ def prove_connection(
     return timed(proof, began)
 
 
+def proving(asked: Table) -> Proving:
+    """How connections are proved as is asked. Raises `InputError`."""
+    refuse(asked, "is for orbits and families", "order", "bits", "tolerance")
+    options = chosen_options(asked)
+    return Proving(
+        lambda connection, model, say: prove_connection(connection, model, options, say), CODEC.document, CODEC,
+        "FILE: connections and others together; prove them by a command each",
+    )  # fmt: skip
+
+
 def read_connection_proof(path: Path) -> ConnectionRecord:
     """A connection-proof.json. Raises `InputError`."""
     record = CODEC.load(path)
@@ -809,3 +822,10 @@ def unproved_claims(record: ConnectionRecord, fresh: ConnectionRecord) -> list[s
         for entries in (plain(record), plain(fresh))
     )
     return list(contradictions(old, new, compared | of_ends).values())
+
+
+def replay(path: Path, trusted: Path | None, progress: Progress) -> tuple[ConnectionRecord, list[str], str]:
+    """The proof in a connection-proof.json done again (see `Kind.replay`)."""
+    record = read_connection_proof(path)
+    fresh = replayed_connection(record, provable_system(record.system, trusted), progress)
+    return fresh, unproved_claims(record, fresh), fresh.kind

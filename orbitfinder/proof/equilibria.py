@@ -17,16 +17,20 @@ from __future__ import annotations
 
 import operator
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from functools import cached_property, partial
+from math import log10
+from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.notebook import Shown, brief
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 from orbitfinder.families.equilibrium import Equilibria
 from orbitfinder.families.rest_problem import state_sizes
 from orbitfinder.mechanics.model import Model
@@ -56,9 +60,9 @@ from orbitfinder.proof.krawczyk import approximate_inverse, contracted
 from orbitfinder.proof.program import Ring, ScalarProgram, derived
 from orbitfinder.proof.record import DIGITS, MARGIN, at_least, bounding, enclosure, holds, holds_each, timed
 from orbitfinder.proof.series import BALLS
-from orbitfinder.proof.theorem import NotProved, Options, Progress, provable_system, silent
+from orbitfinder.proof.theorem import NotProved, Options, Progress, Proving, provable_system, refuse, silent
 from orbitfinder.proof.trajectory import positive_definite
-from orbitfinder.records.codec import Codec
+from orbitfinder.records.codec import Codec, entries_of
 from orbitfinder.records.reading import Entries, Table
 
 BITS, NEWTON, SHARPER, LEAST = 160, 12, 20, 1e-30
@@ -138,6 +142,35 @@ class ProvedEquilibria(Shown, Versioned):
     def proved(self) -> bool:
         """Whether everything was."""
         return bool(self.parts) and all(part.proved for part in self.parts)
+
+    @property
+    def kept(self) -> bool:
+        """Whether anything was."""
+        return any(part.proved for part in self.parts)
+
+    @property
+    def lines(self) -> list[str]:
+        """How many points are proved, and what of each event."""
+        points = [part for part in self.parts if not part.event]
+        verdicts = Counter(part.stability for part in points if part.proved)
+        said = ": " * bool(verdicts) + ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
+        lines = [f"{verdicts.total()} of {plural(len(points), 'point')} proved in {self.wall_time:.1f} s{said}"]
+        for part in self.parts:
+            if not part.proved:
+                lines.append(f"  {part.place}: not proved: {part.reason}")
+            elif part.event and part.value:
+                known = {self.parameter: part.value} | dict(part.known or {})
+                numbers = ", ".join(f"{name} {_shown(ball)}" for name, ball in known.items())
+                said = f"{part.criticality} proved".strip()
+                lines.append(f"  {part.place}: {said}, alone within {part.radius:.0e} of its sizes; {numbers}")
+        return lines
+
+
+def _shown(ball: Table) -> str:
+    """A recorded ball with its digits."""
+    value, within = float(ball["value"]), float(ball["radius"])
+    places = 18 if not within else max(min(18, int(log10(abs(value) / within)) if value else 1), 1)
+    return f"{Decimal(ball['value']):.{places}g} +/- {within:.0e}"
 
 
 CODEC = Codec(ProvedEquilibria, "equilibria-proof", "`orbitfinder prove`", "prove it again", sealed=True)
@@ -437,6 +470,23 @@ def prove_equilibria(
     kinds = tuple(event.kind for event in equilibria.events)
     empty = ProvedEquilibria(equilibria.name, equilibria.system, equilibria.parameter, kinds)
     return _concluded(empty, model or provable_system(equilibria.system), [*points, *events], progress, MARGIN, DIGITS)
+
+
+def proving(asked: Table) -> Proving:
+    """How equilibria are proved. Raises `InputError` for options."""
+    refuse(asked, "is for orbits and families; equilibria are proved whole")
+    return Proving(
+        prove_equilibria, lambda proof: {"proved": proof.proved, **entries_of(proof)}, CODEC,
+        "FILE: equilibria and others together; prove them by a command each", named=False,
+    )  # fmt: skip
+
+
+def replay(path: Path, trusted: Path | None, progress: Progress) -> tuple[ProvedEquilibria, list[str], str]:
+    """The proof in an equilibria-proof.json done again (see `Kind.replay`)."""
+    recorded = CODEC.load(path)
+    fresh, wrong = replay_equilibria(recorded, provable_system(recorded.system, trusted), progress)
+    events = sum(bool(part.event) for part in fresh.parts)
+    return fresh, wrong, f"{plural(len(fresh.parts) - events, 'point')}, {plural(events, 'event')}"
 
 
 def replay_equilibria(

@@ -20,10 +20,23 @@ from scipy.optimize import linear_sum_assignment
 from orbitfinder._runtime.cluster import home
 from orbitfinder.errors import InputError, IntegrationError, shortened
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import Versioned, arb, precision, why_not
-from orbitfinder.proof.theorem import STATEMENT, NotProved, Options, Proof, provable_model, proved_until
+from orbitfinder.proof import theorem
+from orbitfinder.proof.balls import arb, precision, why_not
+from orbitfinder.proof.theorem import (
+    STATEMENT,
+    NotProved,
+    Options,
+    Progress,
+    Proof,
+    Proving,
+    checked,
+    chosen_options,
+    provable_model,
+    proved_until,
+)
 from orbitfinder.records.orbit import Orbit, read_document, recorded_proof
 from orbitfinder.records.reading import Entries, Table, read_as, write_json
+from orbitfinder.records.registry import load_orbit
 
 Record = TypeVar("Record")
 Same = Callable[[Any, Any], bool]
@@ -63,7 +76,7 @@ def entry(proof: Proof, margin: float = MARGIN, digits: int = DIGITS) -> Entries
             "bits": proof.settings.bits,
             "tolerance": proof.settings.tolerance,
             "wall_time": round(proof.wall_time, 1),
-            "versions": Versioned().versions,
+            "versions": proof.versions,
         }
         return document | (_proved(proof, margin, digits) if proof.proved else {})
 
@@ -92,9 +105,17 @@ def _proved(proof: Proof, margin: float, digits: int) -> Entries:
     }
 
 
-def proved_entry(orbit: Orbit, folder: str | None, options: Options) -> Entries:
-    """The entry of the proof of an orbit, whose system a module of a trusted folder may make: a task that travels."""
-    return entry(proved_until(lambda proof: True, orbit, provable_model(orbit, home(folder)), options, None))
+def proving(asked: Table) -> Proving:
+    """How orbits are proved as is asked. Raises `InputError`."""
+    options = chosen_options(asked)
+    return Proving(lambda orbit, model, say: theorem.prove(orbit, model, options, say), entry, read=load_orbit)
+
+
+def proved_entry(orbit: Orbit, folder: str | None, options: Options) -> tuple[Entries, list[str]]:
+    """The entry of the proof of an orbit, whose system a module of a trusted folder may make, and whether it is proved
+    in a line: a task that travels."""
+    proof = proved_until(lambda proof: True, orbit, provable_model(orbit, home(folder)), options, None)
+    return entry(proof), proof.lines[:1]
 
 
 def write_entry(path: Path, proof: Table) -> None:
@@ -159,19 +180,6 @@ def options_of(recorded: Table) -> Options:
     return checked(Options(known.order, known.bits, known.tolerance, **chosen))
 
 
-def checked(options: Options) -> Options:
-    """The same options, or `InputError` naming the one that is out of range."""
-    for name, value, low, high in (
-        ("order", options.order, 10, 120), ("bits", options.bits, 64, 2000),
-        ("segments", 1 if options.segments is None else options.segments, 1, 100),
-    ):  # fmt: skip
-        if not low <= value <= high:
-            raise InputError(f"{name}: must be from {low} to {high}, got {value}; the default is fine for most orbits")
-    if not 1e-40 <= options.tolerance < 1e-6:
-        raise InputError(f"tolerance: must be from 1e-40 to 1e-6, got {options.tolerance}; the default is 1e-17")
-    return options
-
-
 def replay(orbit: Orbit, recorded: Table, model: Model | None = None) -> tuple[Proof, list[str]]:
     """The proof done again with the recorded settings, and every recorded claim that it does not prove.
 
@@ -192,6 +200,13 @@ def replay(orbit: Orbit, recorded: Table, model: Model | None = None) -> tuple[P
 
     proof = proved_until(borne, orbit, model, options_of(recorded), None)
     return proof, list((wrong or {}).values()) if proof.proved else [proof.reason]
+
+
+def replayed(path: Path, trusted: Path | None, _: Progress) -> tuple[Proof, list[str], str]:
+    """The proof in the file of an orbit, or FILE#K, done again (see `Kind.replay`)."""
+    orbit = load_orbit(path)
+    proof, wrong = replay(orbit, read_entry(orbit, path), provable_model(orbit, trusted))
+    return proof, wrong, proof.stability.verdict if proof.stability else ""
 
 
 def contradictions(recorded: Table, fresh: Table, compared: Mapping[str, Same] | None = None) -> dict[str, str]:

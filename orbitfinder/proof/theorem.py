@@ -20,7 +20,7 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, p
 from orbitfinder.loops.symmetry import ALONE, NONE, Symmetry, named
 from orbitfinder.mechanics.kind import build_model, system_kind
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, midpoints, precision, radius, why_not
+from orbitfinder.proof.balls import Vector, Versioned, arb, decimal, magnitude, midpoints, precision, radius, why_not
 from orbitfinder.proof.closures import AJAR, closable, closing, comes_back
 from orbitfinder.proof.enclosure import TaylorSettings
 from orbitfinder.proof.field import Programs, make_field, programs
@@ -40,7 +40,10 @@ from orbitfinder.proof.trajectory import (
     stability,
     trajectory,
 )
+from orbitfinder.records.codec import Codec
 from orbitfinder.records.orbit import Orbit, refuse_controlled
+from orbitfinder.records.reading import Entries, Table
+from orbitfinder.records.registry import load
 
 STATEMENT = 1
 """version of the theorem in docs/proof.md that a record refers to"""
@@ -54,7 +57,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Proof(Shown):
+class Proof(Shown, Versioned):
     """What was proved of one orbit, or why nothing was.
 
     `radius` of the box X of unknowns about `nodes` (N x d balls, K(X)) in which exactly one orbit of
@@ -91,6 +94,25 @@ class Proof(Shown):
         """The first node (d balls)."""
         return self.nodes[0]
 
+    @property
+    def words(self) -> list[tuple[str, str]]:
+        """What is proved, line by line."""
+        assert self.stability is not None
+        what = "orbit" if self.symmetry == "none" else f"{self.symmetry} orbit"
+        there = "" if self.energy is None else " of this energy"
+        taken = f"{plural(self.segments, 'segment')}, {plural(self.steps, 'step')}"
+        return [
+            ("box", f"exactly one {what}{there} within {self.radius:.2g} of the nodes"),
+            ("period", f"{self.period.str(20)} s, minimal"),
+            ("distance", f"record within {self.distance:.1g} of the orbit, period within {self.period_distance:.1g} s"),
+            (
+                "contraction",
+                f"{self.contraction:.2g} ({taken}, order {self.settings.order}, {self.settings.bits} bits)",
+            ),
+            ("stability", f"{self.stability.verdict}: {self.stability.reason}"),
+            *(("multiplier", mu.str(12)) for mu in self.stability.multipliers),
+        ]
+
 
 class NotProved(Exception):
     """A hypothesis of the theorem that could not be checked; its message is the reason."""
@@ -118,6 +140,61 @@ class Options(TaylorSettings):
     nearness: float = 1e-9
     begun: tuple[np.ndarray, float] | None = None
     """nodes (N x d) and period (s) to begin with, where they are known and no section is asked for"""
+
+
+def checked(options: Options) -> Options:
+    """The same options, or `InputError` naming the one that is out of range."""
+    for name, value, low, high in (
+        ("order", options.order, 10, 120), ("bits", options.bits, 64, 2000),
+        ("segments", 1 if options.segments is None else options.segments, 1, 100),
+    ):  # fmt: skip
+        if not low <= value <= high:
+            raise InputError(f"{name}: must be from {low} to {high}, got {value}; the default is fine for most orbits")
+    if not 1e-40 <= options.tolerance < 1e-6:
+        raise InputError(f"tolerance: must be from 1e-40 to 1e-6, got {options.tolerance}; the default is 1e-17")
+    return options
+
+
+def chosen_options(asked: Table, **usual: float) -> Options:
+    """Those that are asked for by their names, or else the usual. Raises `InputError`."""
+    known = vars(Options())
+    return checked(
+        Options(**usual | {name: asked[name] for name in asked if name in known and asked[name] is not None})
+    )
+
+
+def refuse(asked: Table, why: str, *taken: str) -> None:
+    """`InputError` for an option that is asked for and not taken."""
+    for name, value in asked.items():
+        if value is not None and name not in taken:
+            raise InputError(f"--{name}: {why}, leave it out")
+
+
+@dataclass(frozen=True)
+class Proving:
+    """How records are proved as is asked.
+
+    Args:
+        prove: (record, model, progress) -> the proof.
+        document: (proof) -> its entries in the answer.
+        codec: of the proof's own file.
+        alone: why more files, or without `file` other kinds beside, are refused.
+        read: (path) -> the record.
+        file: the name of the proof's file, if it is not made of that of the record's.
+        part: of the record that is proved.
+        named: whether progress says which record it is about.
+        check: (path) -> None; refuses to write over what is there.
+    """
+
+    prove: Callable[[Any, Model, Progress], Any]
+    document: Callable[[Any], Entries]
+    codec: Codec[Any] | None = None
+    alone: str = ""
+    read: Callable[[Path], Any] = load
+    file: str = ""
+    part: str = ""
+    named: bool = True
+    check: Callable[[Path], None] | None = None
 
 
 def prove(
@@ -195,8 +272,8 @@ def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | No
     return usable_symmetry(codes.rates, codes.energy, named(orbit.symmetry, model), model.degrees_of_freedom)
 
 
-def provable_model(orbit: Orbit, trusted: Path | None = None) -> Model:
-    """The Model of an orbit."""
+def provable_model(orbit: Any, trusted: Path | None = None) -> Model:
+    """The Model of an orbit, or of another record."""
     refuse_controlled(orbit, "prove")
     return provable_system(orbit.system, trusted)
 

@@ -46,6 +46,9 @@ class Kind:
         export: (record, to, folder, model) -> the files that were written.
         page: (what is gathered, path, filter), which adds it, or the name of the list there that it joins.
         studio: the field of what the studio opens that it is.
+        prove: (what is asked) -> how proofs of this kind are made, or of orbits, which keep theirs.
+        replay: (path, the folder that is trusted, progress) -> the proof made again, what it does not bear out, and
+            what it says.
     """
 
     words: str
@@ -62,10 +65,12 @@ class Kind:
     export: Answer = ""
     page: Answer = ""
     studio: str = ""
+    prove: Answer = ""
+    replay: Answer = ""
 
 
 VERBS = ("verify", "plot", "animate", "export", "page", "studio")
-"""What not every kind answers; every one is shown"""
+"""What not every kind answers, of what `show` names; every one is shown"""
 ANSWERS = {"verify": "Certificate", "plot": "Sequence[Path]", "animate": "Clip", "export": "Sequence[Path]"}
 """What an answer is, if it does not come piece by piece"""
 
