@@ -94,15 +94,12 @@ class Leaving:
         return None if start is None else replace(self, start=start, length=length)
 
 
-def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -> list[Start]:
-    """Starts of the families that leave at an event, each directed away from it, duplicates removed.
+def switch(curve: Curve, event: Event, settings: FamilySettings) -> list[Start]:
+    """Starts of the families that leave at an event, each directed away from it, duplicates removed; none where no
+    branch is met.
 
-    `curve` is the one that the event was found on. Raises `InputError` for other kinds of events; an
-    empty list says that no branch was found.
+    `curve` is the one that the event is on.
     """
-    if event.kind not in SWITCHABLE:
-        raise InputError(f"event: cannot switch at a {event.kind}; choose one of {', '.join(SWITCHABLE)}")
-    settings = settings or FamilySettings()
     leavings: list[Leaving] = []
     for kept, share in (*curve.equations.symmetry.narrower(), (replace(curve.equations.symmetry, maps=()), 0.0)):
         symmetry = called(kept, curve.equations.model)

@@ -66,7 +66,7 @@ class Refuted(ConvergenceError):
 
 
 @dataclass(frozen=True)
-class Roots:
+class MapRoots:
     """The multipliers of a root map (as of `Spectrum`), each of which is a root that bifurcations are read from."""
 
     root_multipliers: np.ndarray
@@ -106,7 +106,7 @@ class Roots:
         return multiplier_levels(self.root)
 
 
-class PairedRoots(Roots):
+class PairedRoots(MapRoots):
     """The same of reciprocal pairs, whose roots are stability indices."""
 
     unit, conservative = 2.0, True
@@ -179,12 +179,12 @@ class Probe:
         return tour(*self._start, p.symmetry.forward, beside, varied)
 
     @cached_property
-    def about(self) -> Roots:
+    def about(self) -> MapRoots:
         """What is read off the root map."""
         return self._read(self.tour.multipliers())
 
     @cached_property
-    def doubted(self) -> list[Roots]:
+    def doubted(self) -> list[MapRoots]:
         """The same of maps as wrong as the integration may be. Raises `ConvergenceError` where they are more so."""
         missed, known = self.tour.divergence()
         if not missed <= known + ALIKE:
@@ -193,14 +193,14 @@ class Probe:
         return [self._read(self.tour.multipliers(random, self._gone[1].relative_tolerance)) for _ in range(DRAWS)]
 
     @cached_property
-    def coarser(self) -> Roots:
+    def coarser(self) -> MapRoots:
         """The same at ten times the tolerance, which is off by more than the map is."""
         settings = self._gone[1]
         coarser = ReferenceSettings(10 * settings.relative_tolerance, 10 * settings.absolute_tolerance)
         return self._read(self._round(coarser).multipliers())
 
-    def _read(self, values: np.ndarray) -> Roots:
-        return (PairedRoots if self.tour.conservative else Roots)(values, self.tour.root)
+    def _read(self, values: np.ndarray) -> MapRoots:
+        return (PairedRoots if self.tour.conservative else MapRoots)(values, self.tour.root)
 
     @property
     def multipliers(self) -> np.ndarray:
@@ -378,7 +378,7 @@ class Sides:
         return replace(self, before=ends[0], after=ends[1], outer=(), apart=1.5 * self.apart)
 
 
-def _as(look: Probe, about: Roots) -> Probe:
+def _as(look: Probe, about: MapRoots) -> Probe:
     """The same orbit with another map."""
     other = replace(look)
     other.__dict__["about"] = about

@@ -340,7 +340,12 @@ def diagram(
     first = model.named_parameters.get(parameter, until)
     empty = BifurcationDiagram(name, model.system, parameter, (first, until), depth, coordinate, (), title=title)
     if out is not None and (earlier := Path(out) / name / "diagram.json").exists():
-        _refuse_less(earlier, empty)
+        there = CODEC.load(earlier)
+        if there.depth > depth:  # less of it than is there
+            refuse_other(earlier, {"depth": there.depth}, {"depth": depth})
+        begins, ends = there.between
+        if begins == first and (until - first) / (ends - first) < 1.0:
+            refuse_other(earlier, {"until": ends}, {"until": until})
     settings = FamilySettings(parameter=parameter, directions="away", points=points, longest_step=STEP, method=method)
     tree = _Tree(empty, model, settings, None if out is None else Path(out) / name, progress or (lambda curve: None))
     with (locks.alone_in(tree.folder), limited(limit), scheduler_at(scheduler, "diagram", folder) as far,
@@ -368,16 +373,6 @@ def drawn(coordinate: str, model: Model) -> int:
         raise InputError(f"coordinate: unknown {coordinate!r}{closest(coordinate, names)}; this system has "
                          f"{', '.join(names[:20])}")  # fmt: skip
     return names.index(coordinate)
-
-
-def _refuse_less(file: Path, asked: BifurcationDiagram) -> None:
-    """`InputError` for less of a diagram than is there: a nearer bound, or less depth."""
-    there = CODEC.load(file)
-    (begin, end), (first, until) = there.between, asked.between
-    if there.depth > asked.depth:
-        refuse_other(file, {"depth": there.depth}, {"depth": asked.depth})
-    if begin == first and (until - first) / (end - first) < 1.0:
-        refuse_other(file, {"until": end}, {"until": until})
 
 
 def _beginnings(

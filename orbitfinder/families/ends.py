@@ -98,8 +98,12 @@ def end_at(run: Run, before: Walked, after: Walked) -> End | None:
             raise ConvergenceError("the orbits pass amplitude 0 within one step")
     elif collapsed(curve, before.solution, solution):
         return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(run, before.solution)
-    elif _shrinking(curve, before.solution, solution) and linear(curve, solution, SHRINKING.linear):
-        return _at_equilibrium(run, solution)
+    else:  # smaller than the one before, hardly slower or faster, and small beside where it is
+        (once, _), (size, far) = (_extent_and_place(curve, each) for each in (before.solution, solution))
+        steady = abs(solution.place.period / before.solution.place.period - 1.0) < SHRINKING.steady
+        shrunk = steady and size < min(SHRINKING.smaller * once, LEAST * far)
+        if shrunk and linear(curve, solution, SHRINKING.linear):
+            return _at_equilibrium(run, solution)
     if passed(curve, before.solution, solution):
         raise ConvergenceError("another family is joined within one step")
     if curve.equations.model.forced or slowness(curve, solution)[0] <= SLOW.share:
@@ -200,13 +204,6 @@ def _hopf(run: Run, rest: RestPoint, more: str = "") -> End:
         f"the branch of equilibria through {where}, {side} (l1 = {coefficient:.6g}){beside}{more}"
     )
     return End("hopf", reason, rest.value, rest.period, rest.error)
-
-
-def _shrinking(curve: Curve, before: Solution, solution: Solution) -> bool:
-    """Whether an orbit is smaller than the one before, hardly slower or faster, and small beside where it is."""
-    (first, _), (size, far) = _extent_and_place(curve, before), _extent_and_place(curve, solution)
-    steady = abs(solution.place.period / before.place.period - 1.0) < SHRINKING.steady
-    return steady and size < min(SHRINKING.smaller * first, LEAST * far)
 
 
 def _extent_and_place(curve: Curve, solution: Solution) -> tuple[float, float]:

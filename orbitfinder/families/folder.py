@@ -328,9 +328,8 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Sequence[tuple
 
 
 def _request(
-    origin: Orbit | Problem | Start | Branch, settings: FamilySettings, at: Sequence[float],
-    watch: Mapping[str, str | Number],
-) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
+    origin: Any, settings: FamilySettings, at: Sequence[float], watch: Mapping[str, str | Number]
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """What decides whether a journal answers the same question; the number of points and where it ends may differ.
 
     And what the family was started from, for its file.

@@ -152,9 +152,9 @@ def growth(curve: Curve, solution: Solution, about: Spectrum, units: np.ndarray)
 
 def action_at(curve: Curve, solution: Solution) -> float:
     """The action over the horizon (J s) of the place after Newton's last step, which may have changed the energy: by
-    dE, and so the action by T dE."""
+    dE, and so the action by T dE. What lies within segments may have moved too."""
     w = solution.place
-    if solution.stepped < CORRECTOR.unmoved and not curve.equations.gridded:
+    if solution.stepped < CORRECTOR.unmoved and not solution.march.change:
         return solution.march.integral
     return curve.equations.march.integral(w.nodes, w.mesh, w.tail)
 
