@@ -25,7 +25,7 @@ from orbitfinder.families.codimension_two import is_centre
 from orbitfinder.families.critical import Critical, discriminant, levelled, torus_pair
 from orbitfinder.families.doubling import bending, born
 from orbitfinder.families.motion import parameters_at
-from orbitfinder.families.passages import Level, index_levels, multiplier_levels
+from orbitfinder.families.passages import index_levels, multiplier_levels
 from orbitfinder.families.point import extents, freed, parameter_value, shift_at
 from orbitfinder.families.registry import KINDS
 from orbitfinder.integrate.dop853 import TIGHTEST, ReferenceSettings
@@ -100,7 +100,7 @@ class MapRoots:
         """What vanishes beside levels of single roots where the verdict changes."""
         return [_pair] if np.any(np.abs(self.roots.imag) > ALIKE) else []
 
-    def levels(self, most: int) -> Iterable[Level]:
+    def levels(self, most: int) -> Iterable[tuple[float, str, str, int, complex]]:
         """Those at which bifurcations are, of resonances up to this order."""
         del most
         return multiplier_levels(self.root)
@@ -131,7 +131,7 @@ class PairedRoots(MapRoots):
         """Two indices meet."""
         return [_meeting] if self.roots.size > 1 else []
 
-    def levels(self, most: int) -> Iterable[Level]:
+    def levels(self, most: int) -> Iterable[tuple[float, str, str, int, complex]]:
         """Those of indices."""
         return index_levels(self.root, most)
 
