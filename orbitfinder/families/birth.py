@@ -14,10 +14,10 @@ from orbitfinder.families.equilibrium import Equilibria, RestEvent
 from orbitfinder.families.handover import rescued
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.rest_problem import ROUND_OFF, AtRest, Stacked, lyapunov, oscillations, regular, spectrum
-from orbitfinder.families.start import FIRST_STEPS, Start, begin, corrected, curve_at, unknown_parameters
+from orbitfinder.families.start import Start, begin, corrected, curve_at, unknown_parameters
 from orbitfinder.integrate.equations import hamilton
 from orbitfinder.integrate.jets import at_rest
-from orbitfinder.integrate.march import Gridded, March, uniform
+from orbitfinder.integrate.march import March, uniform
 from orbitfinder.loops.continued import plane
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.problem import Guess, Problem
@@ -29,9 +29,9 @@ from orbitfinder.orbits.method import begins
 from orbitfinder.orbits.method import named as method_named
 from orbitfinder.records.family import Event
 
-GROWTH, SHARE, INTERVALS, HALVINGS = 1e-3, 0.02, 40, 12
+GROWTH, SHARE, HALVINGS = 1e-3, 0.02, 12
 """Of the first cycle x + 2 Re(w q) + ...: what motions grow by in a radian, |l1| |w|^2, in sizes of the equilibrium its
-amplitude where no normal form tells it; the intervals of its mesh of collocation; how often it is halved"""
+amplitude where no normal form tells it; how often it is halved"""
 LEAST, MOST, NEAR = 1e-6, 0.05, 0.1
 """What is not linear of the rates along a first cycle, relative to what is, without a normal form at least and always
 at most; a cycle that is found belongs to a Hopf point where the critical eigenvalue has changed by less than this"""
@@ -49,7 +49,16 @@ def cycle_start(
         born = replace(born, parameter=0.0)
     model = with_parameters(model or build_model(equilibria.system), {name: born.parameter})
     unknown_parameters(model, replace(settings, parameter=name))
-    start = _first(model, name, born, settings.method)
+    if settings.method and begins(settings.method):
+        start = _cycle(model, name, born, method_named(settings.method).march)
+    else:  # by shooting, or what rescues where that fails
+        try:
+            start = _cycle(model, name, born, March)
+        except ConvergenceError as error:
+            other = None if settings.method else rescued(model, born.state, born.period)
+            if other is None:
+                raise
+            start = replace(_cycle(model, name, born, other.march), why=f"by shooting {error}")
     return start, Event(born.kind, number, born.arclength, born.parameter, born.state, born.period, np.nan)
 
 
@@ -105,31 +114,18 @@ def _fitting(
         return next((size / 2.0**k for k in range(64) if bent(size / 2.0**k) <= MOST), size)
 
 
-def _first(model: Model, name: str, born: RestEvent, method: str | None) -> Start:
-    """The first cycle, away from its birth, by a method; None: by shooting, or what rescues where that fails."""
-    if method and begins(method):
-        return _cycle(model, name, born, method_named(method).march)
-    try:
-        return _cycle(model, name, born, March)
-    except ConvergenceError as error:
-        other = None if method else rescued(model, born.state, born.period)
-        if other is None:
-            raise
-        return replace(_cycle(model, name, born, other.march), why=f"by shooting {error}")
-
-
 def _cycle(model: Model, name: str, born: RestEvent, by: type[March]) -> Start:
-    """The same by one of them."""
-    gridded, value = issubclass(by, Gridded), np.array([born.parameter])
+    """The first cycle, away from its birth, by a march."""
+    value, count = np.array([born.parameter]), by.first_segments
     problem = regular(at_rest(model, (name,), born.state), born.state, value)
-    z, count = np.pad(born.state, (0, problem.jets.extra)), INTERVALS if gridded else 1
+    z = np.pad(born.state, (0, problem.jets.extra))
     _, _, q, mean, double = lyapunov(problem, z, value, born.frequency)
     size, least = SHARE / float(np.abs(q / problem.z_sizes[: q.size]).max()), LEAST
     if born.criticality in ("supercritical", "subcritical"):
         size, least = 2 * float(np.sqrt(GROWTH / abs(born.lyapunov))), 0.0
     size = _fitting(problem, z, value, q, born.frequency, size, least)
     equations, why = Equations.of(model, named(NONE.name, model), (name,), by), "none was tried"
-    mesh = uniform(1.0, count, 1 if gridded else FIRST_STEPS)
+    mesh, held = uniform(1.0, count, by.first_steps), ("energy",) * model.conservative
     turning = np.exp(2j * np.pi * np.arange(count)[:, None] / count)
     for amplitude in size / 2.0 ** np.arange(HALVINGS):
         bent = (amplitude / 2) ** 2 * (mean + (double * turning**2).real)
@@ -137,7 +133,7 @@ def _cycle(model: Model, name: str, born: RestEvent, by: type[March]) -> Start:
         guess = equations.unknowns(nodes, born.period, mesh, value)
         direction = np.pad((q * turning).real.ravel(), (0, guess.vector.size - nodes.size))
         try:
-            curve = curve_at(equations, guess, ("energy",))
+            curve = curve_at(equations, guess, held)
             start = corrected(curve, guess, plane(curve, guess, direction), guess, reach=10.0)
         except UNSOLVED as error:
             why = str(error)

@@ -9,7 +9,7 @@ Subharmonic branching in reversible systems, SIAM J. Math. Anal. 21 (1990) 954-9
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError
 from orbitfinder.families.birth import cycle_start, mode_start
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.entries import SWITCHABLE
-from orbitfinder.families.equilibria import RestBranch, rest_branch
+from orbitfinder.families.equilibria import rest_branch
 from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, RestEvent, load_equilibria
 from orbitfinder.families.motion import full_samples
 from orbitfinder.families.point import FamilySettings, parameter_value, shift_at, unknowns_of
@@ -94,15 +94,12 @@ class Leaving:
         return None if start is None else replace(self, start=start, length=length)
 
 
-def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -> list[Start]:
-    """Starts of the families that leave at an event, each directed away from it, duplicates removed.
+def switch(curve: Curve, event: Event, settings: FamilySettings) -> list[Start]:
+    """Starts of the families that leave at an event, each directed away from it, duplicates removed; none where no
+    branch is met.
 
-    `curve` is the one that the event was found on. Raises `InputError` for other kinds of events; an
-    empty list says that no branch was found.
+    `curve` is the one that the event is on.
     """
-    if event.kind not in SWITCHABLE:
-        raise InputError(f"event: cannot switch at a {event.kind}; choose one of {', '.join(SWITCHABLE)}")
-    settings = settings or FamilySettings()
     leavings: list[Leaving] = []
     for kept, share in (*curve.equations.symmetry.narrower(), (replace(curve.equations.symmetry, maps=()), 0.0)):
         symmetry = called(kept, curve.equations.model)
@@ -248,8 +245,13 @@ def _at(cover: Cover, direction: np.ndarray, length: float) -> Start | None:
     except UNSOLVED:
         return None
     # largest fictitious damping, per period, with which a motion is still an orbit
-    damped = start.solution.place.period * np.abs(start.solution.place.unfolding).max(initial=0.0) > 1e-8
-    return None if damped or (order > 1 and _is_cover(start, order, length)) else start
+    if start.solution.place.period * np.abs(start.solution.place.unfolding).max(initial=0.0) > 1e-8:
+        return None
+    if shares := [k for k in range(2, order + 1) if order % k == 0]:  # of the period, after which it may close already
+        states = full_samples(start.curve, start.solution)[1]
+        gaps = [return_gaps(start.curve, states, k) / start.curve.scales.states for k in shares]
+        return None if np.min(np.max(gaps, axis=1)) < 0.05 * length else start
+    return start
 
 
 def _grown(start: Start | None) -> int:
@@ -260,7 +262,7 @@ def _grown(start: Start | None) -> int:
 
 def symmetric(start: Start) -> Start:
     """The same start in the formulation of the symmetry that its orbit has, going the same way."""
-    if start.curve.equations.links or start.curve.equations.symmetry.relative:
+    if not start.curve.equations.plain:
         return start
     try:
         other = reformulated(start, named(symmetry_of(start.curve, start.solution), start.curve.equations.model))
@@ -270,14 +272,6 @@ def symmetric(start: Start) -> Start:
     count = 2 + len(start.curve.equations.free)
     same = np.dot(slopes[0][:count], slopes[1][:count]) >= 0
     return other if same else replace(other, direction=-other.direction)
-
-
-def _is_cover(start: Start, order: int, length: float) -> bool:
-    """Whether the orbit closes already after a part of its period."""
-    (_, states), smooth = full_samples(start.curve, start.solution), not start.curve.equations.links
-    shares = [k for k in range(2, order + 1) if order % k == 0]
-    gaps = [return_gaps(states, k, smooth) / start.curve.scales.states for k in shares]
-    return bool(np.min(np.max(gaps, axis=1)) < 0.05 * length)
 
 
 def _same(leaving: Leaving, other: Leaving) -> bool:
@@ -416,13 +410,13 @@ def switch_branch(
 
 def _beside_rest(
     rest: Equilibria, event: int | str | Event | RestEvent, mode: int, settings: FamilySettings, model: Model | None
-) -> Branch | RestBranch:
+) -> Any:
     """What leaves equilibria at an event: cycles, or other equilibria; at the first or the last, a normal mode."""
     if isinstance(event, str):
         start, birth = mode_start(rest, event, mode, settings, model)
         return Branch(start, rest.name, birth, event, mode, f"{rest.name}-{event}-{mode}", rest.title)
     number = next((k for k, one in enumerate(rest.events) if one is event or k == event), event)
-    known = {k: LEAVING[one.kind] for k, one in enumerate(rest.events) if one.kind in LEAVING}
+    known = rest_leaving(rest)
     if not isinstance(number, int) or number not in known:
         choice = f"choose one of {counted(list(known))}" if known else "there is none at which something does"
         raise InputError(f"event: nothing leaves these equilibria at event {number}; {choice}")
@@ -434,10 +428,10 @@ def _cycles(rest: Equilibria, number: int, settings: FamilySettings, model: Mode
     return Branch(start, rest.name, birth, number, 1, f"{rest.name}-{number}", rest.title)
 
 
-LEAVING: Mapping[str, Callable[[Equilibria, int, FamilySettings, Model | None], Branch | RestBranch]] = {
-    "hopf": _cycles, "branch_point": lambda rest, number, _, model: rest_branch(rest, number, model),
-}  # fmt: skip
-"""What leaves at each kind of event of equilibria"""
+def rest_leaving(rest: Equilibria) -> dict[int, Callable[..., Any]]:
+    """What leaves equilibria at each of their events at which something does."""
+    kinds = {"hopf": _cycles, "branch_point": lambda rest, number, _, model: rest_branch(rest, number, model)}
+    return {k: kinds[event.kind] for k, event in enumerate(rest.events) if event.kind in kinds}
 
 
 def _joined(family: Family, which: str, settings: FamilySettings | None, model: Model | None) -> Branch:
@@ -489,12 +483,16 @@ def branches(
     ]
 
 
+def unled(family: Family) -> str:
+    """Why nothing can be followed from the events of a family: a curve in two parameters or in series alone, or ""."""
+    if "test" in family.curve:
+        return "a curve in two parameters"
+    return f"{family.curve['method']} of many coordinates" if by_series(family.curve) else ""
+
+
 def left_at(family: Family) -> list[int]:
-    """The numbers of the events at which others leave that `switch_branch` knows: none of a family in series alone, nor
-    of a curve in two parameters."""
-    if "test" in family.curve or by_series(family.curve):
-        return []
-    return [k for k, event in enumerate(family.events) if event.kind in SWITCHABLE]
+    """The numbers of the events at which others leave that `switch_branch` knows."""
+    return [] if unled(family) else [k for k, event in enumerate(family.events) if event.kind in SWITCHABLE]
 
 
 def opened(family: Family | str | Path, event: int | Event) -> tuple[Family, int, str]:

@@ -9,12 +9,11 @@ two indices; the product of a pair less 1; what is extremal; a margin of a hybri
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import SimpleNamespace
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -37,8 +36,9 @@ from orbitfinder.loops.loop import ROUND_OFF
 from orbitfinder.loops.symmetry import turned
 from orbitfinder.loops.watch import arcs, numbers, unsure
 from orbitfinder.mechanics.kind import with_parameters
+from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import COARSER, VARIED, ClosureCheck, Tour, tour
-from orbitfinder.orbits.floquet import ERROR_FLOOR, judged
+from orbitfinder.orbits.floquet import ERROR_FLOOR, judged, outside
 from orbitfinder.orbits.hybrid import hybrid_tour, retraced
 from orbitfinder.records.family import BECOMES, CLOSURE, UNKNOWN, Event, Reading
 
@@ -66,6 +66,77 @@ class Refuted(ConvergenceError):
 
 
 @dataclass(frozen=True)
+class MapRoots:
+    """The multipliers of a root map (as of `Spectrum`), each of which is a root that bifurcations are read from."""
+
+    root_multipliers: np.ndarray
+    root: int
+    unit: ClassVar[float] = 1.0
+    """the root of a multiplier that is 1"""
+    conservative: ClassVar[bool] = False
+
+    @cached_property
+    def roots(self) -> np.ndarray:
+        """What bifurcations are read from."""
+        return self.root_multipliers
+
+    @property
+    def indices(self) -> np.ndarray:
+        """The same by their name in `Spectrum`."""
+        return self.roots
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """How far out each root is, `unit` on the unit circle."""
+        return np.asarray(np.abs(self.roots))
+
+    @property
+    def pair(self) -> tuple[float, float]:
+        """Product and sum of the two that leave the unit circle together; nan where none do."""
+        return torus_pair(self.roots)[:2]
+
+    @property
+    def others(self) -> Sequence[Measure]:
+        """What vanishes beside levels of single roots where the verdict changes."""
+        return [_pair] if np.any(np.abs(self.roots.imag) > ALIKE) else []
+
+    def levels(self, most: int) -> Iterable[tuple[float, str, str, int, complex]]:
+        """Those at which bifurcations are, of resonances up to this order."""
+        del most
+        return multiplier_levels(self.root)
+
+
+class PairedRoots(MapRoots):
+    """The same of reciprocal pairs, whose roots are stability indices."""
+
+    unit, conservative = 2.0, True
+
+    @cached_property
+    def roots(self) -> np.ndarray:
+        """The indices."""
+        return judged(self.root_multipliers).indices
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """How far out each index is."""
+        return 2.0 + outside(self.roots)
+
+    @property
+    def pair(self) -> tuple[float, float]:
+        """Two pairs leave the unit circle by their indices."""
+        return np.nan, np.nan
+
+    @property
+    def others(self) -> Sequence[Measure]:
+        """Two indices meet."""
+        return [_meeting] if self.roots.size > 1 else []
+
+    def levels(self, most: int) -> Iterable[tuple[float, str, str, int, complex]]:
+        """Those of indices."""
+        return index_levels(self.root, most)
+
+
+@dataclass(frozen=True)
 class Probe:
     """An orbit of a family and what the certificate's integrator reads there."""
 
@@ -75,34 +146,45 @@ class Probe:
     @cached_property
     def tour(self) -> Tour:
         """The loop gone round. Raises `ConvergenceError` where it is not known well enough."""
-        return _known(self._gone[0])
+        lap = self._gone[0]
+        if not lap.closes.amplification <= UNKNOWN or not lap.closes.gap <= CLOSURE * lap.closes.amplification:
+            raise ConvergenceError(
+                f"the orbit closes to {lap.closes.gap:.2g} where errors grow {lap.closes.amplification:.3g} times, "
+                "which is too little to tell multipliers"
+            )
+        return lap
 
     @cached_property
     def _gone(self) -> tuple[Tour, ReferenceSettings]:
         """The same, and at which of `TOLERANCES`: at the first at which a step can be made."""
-        for settings in () if self.curve.equations.links else TOLERANCES[:-1]:
+        if self.curve.equations.links:
+            return hybrid_tour(*self._start), TOLERANCES[-1]
+        for settings in TOLERANCES[:-1]:
             with suppress(IntegrationError):
                 return self._round(settings), settings
         return self._round(TOLERANCES[-1]), TOLERANCES[-1]
 
-    def _round(self, varied: ReferenceSettings) -> Tour:
+    @property
+    def _start(self) -> tuple[Model, np.ndarray, float, np.ndarray]:
+        """Model, state, period and whole turns."""
         p, w = self.curve.equations, self.solution.place
         turns = turned(p.model, np.array(self.curve.turns), shift_at(self.curve, w))
-        model = with_parameters(p.model, freed(self.curve, w))
-        if p.links:
-            return hybrid_tour(model, w.nodes[0], w.period, turns)
+        return with_parameters(p.model, freed(self.curve, w)), w.nodes[0], w.period, turns
+
+    def _round(self, varied: ReferenceSettings) -> Tour:
+        p, w = self.curve.equations, self.solution.place
         states, still = self.solution.march.states, self.solution.stepped < CORRECTOR.unmoved
         states = states if still else p.march.states(w.nodes, w.mesh, w.tail)  # those of before the last step
         beside = p.symmetry.whole(w.mesh, states, self.curve.constant)
-        return tour(model, w.nodes[0], w.period, turns, p.symmetry.forward, beside, varied)
+        return tour(*self._start, p.symmetry.forward, beside, varied)
 
     @cached_property
-    def about(self) -> Any:
-        """What is read off the root map, by the names of `Spectrum`."""
+    def about(self) -> MapRoots:
+        """What is read off the root map."""
         return self._read(self.tour.multipliers())
 
     @cached_property
-    def doubted(self) -> list[Any]:
+    def doubted(self) -> list[MapRoots]:
         """The same of maps as wrong as the integration may be. Raises `ConvergenceError` where they are more so."""
         missed, known = self.tour.divergence()
         if not missed <= known + ALIKE:
@@ -111,18 +193,14 @@ class Probe:
         return [self._read(self.tour.multipliers(random, self._gone[1].relative_tolerance)) for _ in range(DRAWS)]
 
     @cached_property
-    def coarser(self) -> Any:
+    def coarser(self) -> MapRoots:
         """The same at ten times the tolerance, which is off by more than the map is."""
         settings = self._gone[1]
         coarser = ReferenceSettings(10 * settings.relative_tolerance, 10 * settings.absolute_tolerance)
         return self._read(self._round(coarser).multipliers())
 
-    def _read(self, values: np.ndarray) -> Any:
-        pairs = self.tour.conservative
-        roots = judged(values).indices if pairs else values
-        return SimpleNamespace(
-            root_multipliers=values, indices=roots, roots=roots, conservative=pairs, root=self.tour.root
-        )
+    def _read(self, values: np.ndarray) -> MapRoots:
+        return (PairedRoots if self.tour.conservative else MapRoots)(values, self.tour.root)
 
     @property
     def multipliers(self) -> np.ndarray:
@@ -137,10 +215,7 @@ class Probe:
     def beyond(self, level: float) -> bool:
         """The same where a root passes a level, however near to it that root still is: beyond is beyond."""
         roots, nearest = self.about.roots, int(np.argmin(np.abs(self.about.roots - level)))
-        others = np.delete(roots, nearest)
-        if self.about.conservative:
-            others = np.where(np.abs(others.imag) > ERROR_FLOOR, 2.0 + np.abs(others.imag), others)
-        outside = np.abs(others) > abs(level) + ERROR_FLOOR
+        outside = np.delete(self.about.sizes, nearest) > abs(level) + ERROR_FLOOR
         return bool((roots[nearest].real - level) * np.sign(level) > 0 or np.any(outside))
 
     def value(self, name: str) -> float:
@@ -165,16 +240,6 @@ class Probe:
 
     def _numbers(self, times: np.ndarray, states: np.ndarray) -> dict[str, float]:
         return numbers(self.curve.watch, times, states, parameters_at(self.curve, self.solution.place))
-
-
-def _known(lap: Tour) -> Tour:
-    closes = lap.closes
-    if not closes.amplification <= UNKNOWN or not closes.gap <= CLOSURE * closes.amplification:
-        raise ConvergenceError(
-            f"the orbit closes to {closes.gap:.2g} where errors grow {closes.amplification:.3g} times, which is too "
-            "little to tell multipliers"
-        )
-    return lap
 
 
 @dataclass(frozen=True)
@@ -226,7 +291,7 @@ class Sides:
         curve, w = self.here.curve, self.here.solution.place
         off += float(np.sqrt(curve.scales.metric(w) @ self.across**2))
         bars = []
-        for name in (self.parameter or _parameter(curve), "period"):
+        for name in (self.parameter or curve.equations.parameter, "period"):
             low, middle, high = self.values(name)
             slope, bend = (high - low) / (2 * self.apart), (high - 2 * middle + low) / self.apart**2
             of_orbit = np.abs(curve.slopes(w, (pinned(curve.equations, name, middle),))[0]) @ self.across
@@ -313,7 +378,7 @@ class Sides:
         return replace(self, before=ends[0], after=ends[1], outer=(), apart=1.5 * self.apart)
 
 
-def _as(look: Probe, about: Any) -> Probe:
+def _as(look: Probe, about: MapRoots) -> Probe:
     """The same orbit with another map."""
     other = replace(look)
     other.__dict__["about"] = about
@@ -326,22 +391,26 @@ def _level(level: float) -> Measure:
 
 def check_passage(sides: Sides, event: Event) -> Reading:
     """A root at the level that the recorded multiplier stands for, of this kind and order and no other."""
-    here, told = sides.here.about, (event.kind, event.detail, event.order)
-    most = min(max(event.order, 3), 100)
-    known = index_levels(here.root, most) if here.conservative else multiplier_levels(here.root)
+    return sides.zero(_level(_passed(sides, event)))
+
+
+def _passed(sides: Sides, event: Event) -> float:
+    told = event.kind, event.detail, event.order
+    known = sides.here.about.levels(min(max(event.order, 3), 100))
     levels = [level for level, *kind, mu in known if tuple(kind) == told and abs(mu - event.multiplier) < ALIKE]
     if not levels:
         raise Refuted(f"its multiplier {event.multiplier:.6g} and order {event.order} are of another kind")
-    if KINDS[event.kind].crosses and event.multiplier.real > 0 and sides.turns(_parameter(sides.here.curve)):
+    return levels[0]
+
+
+def check_crossing(sides: Sides, event: Event) -> Reading:
+    """The same, and another family leads through it: one of half the period where its multiplier is -1."""
+    level = _passed(sides, event)
+    if event.multiplier.real > 0 and sides.turns(sides.here.curve.equations.parameter):
         raise Refuted("the family turns there, so that nothing else leads through it")
-    if KINDS[event.kind].crosses and event.multiplier.real > 0 and not here.conservative and not sides.crossed:
+    if event.multiplier.real > 0 and not (sides.here.about.conservative or sides.crossed):
         raise Refuted("no other family leads through it")
-    return sides.zero(_level(levels[0]))
-
-
-def _parameter(curve: Curve) -> str:
-    """What a family of orbits is told by: its physical parameter or the energy."""
-    return next(iter(curve.equations.physical), "energy")
+    return sides.zero(_level(level))
 
 
 def check_fold(sides: Sides, event: Event) -> Reading:
@@ -358,20 +427,15 @@ def _turned(sides: Sides, parameter: str) -> Reading:
     is seen, or as no other family crosses there. (The rows of a loop then have full rank, so that a multiplier that
     passes +1 takes the derivative of the parameter through 0.)
     """
-    level = _level(2.0 if sides.here.about.conservative else 1.0)
+    level = _level(sides.here.about.unit)
     passage = sides.zero(level, sharp=False)
-    if passage.passed and (turn := sides.turning(parameter)).passed:
-        return _nearer(passage, turn)
+    if passage.passed and (turn := sides.turning(parameter)).passed:  # the nearer of their bars: both bound where it is
+        names = ("parameter_error", "period_error")
+        bars = {name: [getattr(each, name) for each in (passage, turn)] for name in names}
+        return replace(passage, **{name: min(pair) for name, pair in bars.items() if None not in pair})
     passage = sides.zero(level, within=DOUBTFUL)
     still = sides.farthest and not (sides.here.about.conservative or sides.crossed or sides.passes(parameter))
     return replace(passage, passed=passage.passed and (still or sides.turns(parameter, SURE)))
-
-
-def _nearer(first: Reading, second: Reading) -> Reading:
-    """The first of two readings of an event, with the nearer of their error bars: both bound where it is."""
-    names = ("parameter_error", "period_error")
-    bars = {name: [getattr(each, name) for each in (first, second)] for name in names}
-    return replace(first, **{name: min(pair) for name, pair in bars.items() if None not in pair})
 
 
 def fold_side(sides: Sides, event: Event) -> str:
@@ -415,13 +479,12 @@ def check_known(curve: Curve, name: str) -> None:
 
 
 def _pair(look: Probe) -> float:
-    return torus_pair(look.about.roots)[0] - 1.0
+    return look.about.pair[0] - 1.0
 
 
 def check_torus(sides: Sides, event: Event) -> Reading:
     """A complex pair on the unit circle."""
-    about = sides.here.about
-    if about.conservative or not abs(sum_ := torus_pair(about.roots)[1]) < 2.0:
+    if not abs(sum_ := sides.here.about.pair[1]) < 2.0:
         raise Refuted("no complex pair of multipliers is on the unit circle")
     if abs(sum_ - 2 * event.multiplier.real) > ALIKE or (event.detail, event.order) != ("", 0):
         raise ConvergenceError(f"the pair on the unit circle is not {event.multiplier:.6g}")
@@ -459,13 +522,9 @@ def check_stability(sides: Sides, event: Event) -> Reading:
     level the root is that passes it tells there what the orbits are.
     """
     about = sides.here.about
-    unit = 2.0 if about.conservative else 1.0
-    known = [(sides.zero(_level(level)), level) for level in (unit, -unit)]
-    known.append((_turned(sides, _parameter(sides.here.curve)), unit))
-    if about.conservative and about.roots.size > 1:
-        known.append((sides.zero(_meeting), 0.0))
-    if not about.conservative and np.any(np.abs(about.roots.imag) > ALIKE):
-        known.append((sides.zero(_pair), 0.0))
+    known = [(sides.zero(_level(level)), level) for level in (about.unit, -about.unit)]
+    known.append((_turned(sides, sides.here.curve.equations.parameter), about.unit))
+    known += [(sides.zero(measure), 0.0) for measure in about.others]
     nearest, level = min(known, key=lambda pair: (not pair[0].passed, abs(pair[0].value)))
     looks, told = (sides.before, sides.after), dict(zip(BECOMES, [(True, False), (False, True)], strict=True))
     verdicts = [tuple(probe.unstable for probe in looks), tuple(probe.beyond(level) for probe in looks if level)]
@@ -492,7 +551,7 @@ def check_second(sides: Sides, event: Event) -> Reading:
     """On a curve of bifurcations in two parameters, what else vanishes."""
     critical = sides.here.curve.test
     assert isinstance(critical, Critical)
-    for test in critical.followed.tests(critical, sides.here.about):
+    for test in critical.followed.tests(critical, sides.here.about):  # type: ignore[arg-type]
         told = (test.kind, test.detail, test.order) == (event.kind, event.detail, event.order)
         if told and abs(test.multiplier - event.multiplier) < ALIKE:
             return sides.zero(test.measure)  # type: ignore[arg-type]

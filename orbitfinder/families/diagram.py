@@ -20,7 +20,7 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError, LimitError, closest, plural
-from orbitfinder.families.branches import LEAVING, branches, switch_branch
+from orbitfinder.families.branches import branches, rest_leaving, switch_branch
 from orbitfinder.families.entries import kind_of
 from orbitfinder.families.equilibria import RestBranch, follow_equilibria
 from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, RestEvent, load_equilibria, save_equilibria
@@ -32,7 +32,7 @@ from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, Check, at_most, equal
 from orbitfinder.records.codec import Codec
-from orbitfinder.records.ends import end_kind, stuck
+from orbitfinder.records.ends import stuck
 from orbitfinder.records.family import JOURNAL, End, Event, Family, load_family, reached, save_family
 from orbitfinder.records.journal import refuse_other
 from orbitfinder.records.reading import write_atomically
@@ -132,7 +132,7 @@ class BifurcationDiagram(Tabled):
         """What was left undone and why, a sentence each."""
         left = [f"{fork.file}, {fork.words}" for fork in self.branchings if fork.became not in ("followed", "joined")]
         ends = [(curve.file, end) for curve in self.curves for end in curve.record.ends]
-        stops = [f"{file} stops: {end.reason}" for file, end in ends if end_kind(end.kind).lengthened]
+        stops = [f"{file} stops: {end.reason}" for file, end in ends if end.facts.lengthened]
         return (*left, *stops, *self.unknown)
 
     @property
@@ -282,7 +282,7 @@ def leaving(record: Equilibria | Family) -> list[int]:
     """The numbers of the events at which a diagram goes on: where cycles or other equilibria are born, or cycles of the
     same or twice the period."""
     if isinstance(record, Equilibria):
-        return [k for k, event in enumerate(record.events) if event.kind in LEAVING]
+        return list(rest_leaving(record))
     kinds = [kind_of(event.kind) for event in record.events]
     return [k for k, kind in enumerate(kinds) if kind.branches and kind.critical]
 
@@ -340,7 +340,12 @@ def diagram(
     first = model.named_parameters.get(parameter, until)
     empty = BifurcationDiagram(name, model.system, parameter, (first, until), depth, coordinate, (), title=title)
     if out is not None and (earlier := Path(out) / name / "diagram.json").exists():
-        _refuse_less(earlier, empty)
+        there = CODEC.load(earlier)
+        if there.depth > depth:  # less of it than is there
+            refuse_other(earlier, {"depth": there.depth}, {"depth": depth})
+        begins, ends = there.between
+        if begins == first and (until - first) / (ends - first) < 1.0:
+            refuse_other(earlier, {"until": ends}, {"until": until})
     settings = FamilySettings(parameter=parameter, directions="away", points=points, longest_step=STEP, method=method)
     tree = _Tree(empty, model, settings, None if out is None else Path(out) / name, progress or (lambda curve: None))
     with (locks.alone_in(tree.folder), limited(limit), scheduler_at(scheduler, "diagram", folder) as far,
@@ -368,16 +373,6 @@ def drawn(coordinate: str, model: Model) -> int:
         raise InputError(f"coordinate: unknown {coordinate!r}{closest(coordinate, names)}; this system has "
                          f"{', '.join(names[:20])}")  # fmt: skip
     return names.index(coordinate)
-
-
-def _refuse_less(file: Path, asked: BifurcationDiagram) -> None:
-    """`InputError` for less of a diagram than is there: a nearer bound, or less depth."""
-    there = CODEC.load(file)
-    (begin, end), (first, until) = there.between, asked.between
-    if there.depth > asked.depth:
-        refuse_other(file, {"depth": there.depth}, {"depth": asked.depth})
-    if begin == first and (until - first) / (end - first) < 1.0:
-        refuse_other(file, {"until": end}, {"until": until})
 
 
 def _beginnings(

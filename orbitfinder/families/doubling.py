@@ -44,7 +44,7 @@ def bending(curve: Curve, solution: Solution) -> float:
 def born(curve: Curve, solution: Solution, multiplier: complex) -> str:
     """On which side what leaves with a multiplier, -1 or e^(i t), is born: supercritical, subcritical or not told."""
     p = curve.equations
-    if p.links or p.model.conservative or p.symmetry.relative or p.symmetry.fraction != 1.0 or curve.test:
+    if not p.plain or p.model.conservative or p.symmetry.fraction != 1.0 or curve.test:
         return ""
     sign, known = 1.0 if multiplier.imag == 0.0 else -1.0, []
     for share in FINER:
@@ -138,11 +138,10 @@ class _Return:
     @classmethod
     def of(cls, curve: Curve, solution: Solution) -> _Return:
         """That of an orbit, over its whole mesh as one segment."""
-        w, size = solution.place, curve.equations.size
-        flow = np.zeros(size) if curve.equations.model.forced else curve.equations.march.rates(w.nodes[:1], w.tail)[0]
-        flow = flow * w.period / curve.units
-        directions = flow[None] if flow.any() else np.zeros((0, size))
-        return cls(curve, replace(w, nodes=w.nodes[:1]), complement(np.zeros((0, size)), directions), flow)
+        w = solution.place
+        flows = curve.equations.march.arcs[0].flows(w.nodes[:1], w.tail)[0] * w.period / curve.units
+        flow, directions = flows.sum(axis=0), flows[flows.any(axis=1)]
+        return cls(curve, replace(w, nodes=w.nodes[:1]), complement(directions[:0], directions), flow)
 
     def __call__(self, displacements: np.ndarray) -> np.ndarray:
         """Where displacements (k x r) come back."""

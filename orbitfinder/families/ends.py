@@ -26,7 +26,7 @@ from orbitfinder.loops.continued import Curve, Solution, correct
 from orbitfinder.loops.symmetry import NONE, beside, named, recognise
 from orbitfinder.mechanics.kind import with_parameters
 from orbitfinder.mechanics.scales import lasting, measured
-from orbitfinder.records.family import End, FamilyPoint
+from orbitfinder.records.family import End
 
 
 @dataclass(frozen=True)
@@ -98,17 +98,22 @@ def end_at(run: Run, before: Walked, after: Walked) -> End | None:
             raise ConvergenceError("the orbits pass amplitude 0 within one step")
     elif collapsed(curve, before.solution, solution):
         return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(run, before.solution)
-    elif _shrinking(curve, before.solution, solution) and linear(curve, solution, SHRINKING.linear):
-        return _at_equilibrium(run, solution)
+    else:  # smaller than the one before, hardly slower or faster, and small beside where it is
+        (once, _), (size, far) = (_extent_and_place(curve, each) for each in (before.solution, solution))
+        steady = abs(solution.place.period / before.solution.place.period - 1.0) < SHRINKING.steady
+        shrunk = steady and size < min(SHRINKING.smaller * once, LEAST * far)
+        if shrunk and linear(curve, solution, SHRINKING.linear):
+            return _at_equilibrium(run, solution)
     if passed(curve, before.solution, solution):
         raise ConvergenceError("another family is joined within one step")
-    if curve.equations.model.forced:
-        return None
-    if slowness(curve, solution)[0] <= SLOW.share:
+    if curve.equations.model.forced or slowness(curve, solution)[0] <= SLOW.share:
         return None
     if after.stretch > run.settings.longest_period:
         return blown_up(run, after)
-    if not curve.equations.physical and _settled(run.origin, before.point, after.point):
+    stretch = float(np.log(after.point.period / before.point.period))
+    change = abs(after.point.energy - before.point.energy) / nonzero(stretch)
+    settled = stretch > 0 and change < SLOW.settled * abs(after.point.energy - run.origin.energy)
+    if not curve.equations.physical and after.point.scale > SLOW.undecided and settled:
         return blown_up(run, after, f", multiplier {after.point.scale:.2g}, while the energy stands still")
     return None
 
@@ -186,32 +191,19 @@ def _shrinks_to(run: Run, step: Walked, away: float) -> tuple[RestPoint | None, 
 
 
 def _hopf(run: Run, rest: RestPoint, more: str = "") -> End:
-    name, where = run.settings.parameter, np.array2string(rest.state, precision=6)
-    system = run.curve.equations.model.system
-    reason = (
-        f"the orbits shrink to the Hopf point at {name} {rest.value:.12g} (+- {rest.error:.1g}), period "
-        f"{lasting(rest.period, system)}, of the branch of equilibria through {where}, {_leaving(run, rest)}{more}"
-    )
-    return End("hopf", reason, rest.value, rest.period, rest.error)
-
-
-def _leaving(run: Run, rest: RestPoint) -> str:
-    """How cycles leave a branch of equilibria at a Hopf point, in words."""
-    name, values = run.settings.parameter, np.array([rest.value])
+    name, where, values = run.settings.parameter, np.array2string(rest.state, precision=6), np.array([rest.value])
     model = with_parameters(run.curve.equations.model, {**run.origin.free, name: rest.value})
     problem = regular(at_rest(model, (name,), rest.state), rest.state, values)
     z = np.append(rest.state, np.zeros(problem.jets.extra))
     coefficient, _, side, _ = first_lyapunov(problem, z, values, 2 * np.pi / rest.period, ROUND_OFF * problem.z_sizes)
     grown = int(np.count_nonzero(rest.others.real > 0))
     beside = f" beside {plural(grown, 'eigenvalue')} that grow" if grown else ""
-    return f"{side} (l1 = {coefficient:.6g}){beside}"
-
-
-def _shrinking(curve: Curve, before: Solution, solution: Solution) -> bool:
-    """Whether an orbit is smaller than the one before, hardly slower or faster, and small beside where it is."""
-    (first, _), (size, far) = _extent_and_place(curve, before), _extent_and_place(curve, solution)
-    steady = abs(solution.place.period / before.place.period - 1.0) < SHRINKING.steady
-    return steady and size < min(SHRINKING.smaller * first, LEAST * far)
+    lasts = lasting(rest.period, run.curve.equations.model.system)
+    reason = (
+        f"the orbits shrink to the Hopf point at {name} {rest.value:.12g} (+- {rest.error:.1g}), period {lasts}, of "
+        f"the branch of equilibria through {where}, {side} (l1 = {coefficient:.6g}){beside}{more}"
+    )
+    return End("hopf", reason, rest.value, rest.period, rest.error)
 
 
 def _extent_and_place(curve: Curve, solution: Solution) -> tuple[float, float]:
@@ -242,7 +234,7 @@ def end_of_failure(run: Run, step: Walked, failure: str) -> End:
     except IntegrationError:
         pass
     slow = step.stretch > SLOW.grown and slowness(curve, solution)[0] > SLOW.grown_share
-    if slow and not curve.equations.model.forced and (end := blown_up(run, step, f"; then {failure}")) is not None:
+    if slow and (end := blown_up(run, step, f"; then {failure}")) is not None:
         return end
     if slow and step.stretch > run.settings.longest_period:  # no canard
         return End("step underflow", f"the period is {step.stretch:.3g} times the shortest, no saddle near; {failure}")
@@ -310,16 +302,9 @@ def _met(run: Run, step: Walked, failure: str) -> End | None:
 def shortest_step(run: Run, step: Walked) -> float:
     """How short a step may become: near a homoclinic orbit, which passes its saddle and round-off rules, not very."""
     curve, solution, usual = run.curve, step.solution, run.settings.shortest_step
-    if curve.equations.model.forced or not step.stretch > SLOW.grown:
+    if not step.stretch > SLOW.grown:
         return usual
     return SLOW.step if slowness(curve, solution)[0] > SLOW.share and held_up(curve, solution) else usual
-
-
-def _settled(origin: FamilyPoint, before: FamilyPoint, after: FamilyPoint) -> bool:
-    """Whether the period grows without the energy changing any more, of orbits that are very unstable."""
-    stretch = float(np.log(after.period / before.period))
-    change = abs(after.energy - before.energy) / nonzero(stretch)
-    return after.scale > SLOW.undecided and stretch > 0 and change < SLOW.settled * abs(after.energy - origin.energy)
 
 
 def linear(curve: Curve, solution: Solution, within: float) -> bool:
@@ -328,7 +313,7 @@ def linear(curve: Curve, solution: Solution, within: float) -> bool:
     It differs with the square of the amplitude.
     """
     p, n = curve.equations, curve.equations.model.degrees_of_freedom
-    if p.links or p.model.forced or p.symmetry.relative:
+    if not p.can_rest:
         return False
     middle = np.concatenate([centre(curve, solution), np.zeros(p.size - n)])
     turns = np.abs(rest_near(curve, solution, middle, 1.0)[1].imag) * solution.place.period / (2 * np.pi)
@@ -346,7 +331,7 @@ def singularity(curve: Curve, solution: Solution, failure: str) -> End | None:
         return End("singularity", f"the motion comes near a singularity: beyond {where} its equations are not defined; "
                    f"{failure}")  # fmt: skip
     # jumps of relaxation oscillations are no singularities, nor is a swing that is fast beside a rest at a saddle
-    if self_excited(curve) or (not model.forced and near_saddle(curve, solution)):
+    if self_excited(curve) or near_saddle(curve, solution):
         return None
     n, what = model.degrees_of_freedom, "acceleration" if model.rates is None else "rate"
     pushed = slopes[:, n:] / curve.shares if n < states.shape[1] else slopes / extents(curve, states)
@@ -457,12 +442,12 @@ def mirrored(interval: Interval, at: float) -> bool:
     Then orbits of one energy on its two sides have one period, and of one parameter one action, which at a plain fold
     differ to first order. Raises `ConvergenceError` at the edge of the step.
     """
-    name = next(iter(interval.curve.equations.physical), "")
+    name = interval.curve.equations.parameter
 
     def read(distance: float) -> np.ndarray:
         solution = interval.sample(distance).solution
-        value = parameter_value(interval.curve, solution.place, name or "energy")
-        return np.array([value, solution.march.integral if name else solution.place.period])
+        value = parameter_value(interval.curve, solution.place, name)
+        return np.array([value, solution.place.period if name == "energy" else solution.march.integral])
 
     turn, ends = read(at), {distance: read(distance) for distance in (0.0, interval.length)}
     near, far = sorted(ends, key=lambda distance: abs(ends[distance][0] - turn[0]))
@@ -481,7 +466,7 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
     curve, solution = interval.curve, interval.sample(at).solution
     model, (times, states) = curve.equations.model, full_samples(curve, solution)
     seen = recognise(times, states, model)
-    gaps_of = {k: float((return_gaps(states, k, not curve.equations.links) / curve.units).max()) for k in EVEN}
+    gaps_of = {k: float((return_gaps(curve, states, k) / curve.units).max()) for k in EVEN}
     extent = float(np.ptp(states / curve.units, axis=0).max())
     covers = max((k for k in EVEN if gaps_of[k] < MEETING.symmetric * extent), default=1)
     if covers == 1 and seen in (NONE.name, curve.equations.symmetry.name):

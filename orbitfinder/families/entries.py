@@ -45,7 +45,7 @@ KINDS.update({
         Look("2", "triangle-right", "#E7298A", pixels=9), test=extrema, extremal=True,
     ),
     "branch_point": EventKind(
-        checks.check_passage, "a multiplier is +1 and another family crosses, as a rule of less symmetry",
+        checks.check_crossing, "a multiplier is +1 and another family crosses, as a rule of less symmetry",
         Look("o", "circle-open", series=2, pixels=12, hollow=True, numbered=True, across=True),
         crosses=True, critical=True, branches=True, followed=Followed(at_level, beside_level),
     ),

@@ -32,10 +32,9 @@ from orbitfinder.loops.watch import Number, as_recorded, check_stop, watches
 from orbitfinder.mechanics.kind import build_model, check_reachable, system_kind
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
-from orbitfinder.orbits.hybrid import HybridCheck
+from orbitfinder.orbits.hybrid import closure_check
 from orbitfinder.orbits.method import named
 from orbitfinder.records.codec import plain
-from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import (
     CLOSURE,
     FORMAT,
@@ -127,11 +126,9 @@ def follow_family(
     See Also:
         `of.switch_branch` at its events, `of.follow_curve` in two parameters, `of.load_family`.
     """
-    _refuse_others(origin)
+    origin = _origin(origin)
     settings = replace(settings or FamilySettings(), parameter=_chosen(parameter, settings, origin))
     settings = settings if points is None else replace(settings, points=points)
-    if isinstance(origin, (str, Path)):
-        origin = _read(origin)
     label = name or str(getattr(origin, "name", ""))
     if out is not None and not label:
         raise InputError("name: missing; a family that starts from a branch needs a name")
@@ -173,30 +170,30 @@ def follow_family(
         return _finish(folder, journal, curve, settings, runs, progress)
 
 
-def _refuse_others(given: Any) -> None:
-    """`InputError` for what no family starts from."""
+def _origin(given: Any) -> Any:
+    """What a family starts from, of a file its orbit. `InputError` says of others what makes an origin of them."""
     if not isinstance(given, Origin):
         made = {"Family": "give one of its points, or a branch: switch_branch(family, event)"}
         remedy = made.get(type(given).__name__, "give an Orbit, its file, a Problem, or what switch_branch gives")
         raise InputError(f"origin: a {type(given).__name__}; {remedy}")
+    if not isinstance(given, (str, Path)):
+        return given
+    if parted(given)[0].suffix in (".toml", ".py"):
+        raise InputError(f"origin: {given} is a problem file; give its Problem: load_problem({str(given)!r})")
+    return load_orbit(given)
 
 
 def _check_goals(origin: Any, model: Model | None, parameter: str, until: float | None, at: Sequence[float]) -> None:
     """`InputError` for ends and values that no orbit of the family can have."""
-    goals = {"until": () if until is None else (until,), "at": at}
-    if (until is not None or len(at)) and (known := _known_model(origin, model)):
-        check_reachable(known, parameter, goals)
-
-
-def _known_model(origin: Any, model: Model | None) -> Model | None:
-    """The model of an origin, None where its description makes none, which is told where it is begun."""
-    if start := _start_of(origin):
-        return start.curve.equations.model
-    if (known := model or getattr(origin, "model", None)) is not None:
-        return cast(Model, known)
-    with contextlib.suppress(InputError):
-        return build_model(origin.system)
-    return None
+    if until is None and not len(at):
+        return
+    start = _start_of(origin)
+    known = start.curve.equations.model if start else model or getattr(origin, "model", None)
+    if known is None:
+        with contextlib.suppress(InputError):  # which is told where it is begun
+            known = build_model(origin.system)
+    if known:
+        check_reachable(known, parameter, {"until": () if until is None else (until,), "at": at})
 
 
 def _kept(folder: Path, request: Mapping[str, Any]) -> Journal | None:
@@ -214,13 +211,6 @@ def _kept(folder: Path, request: Mapping[str, Any]) -> Journal | None:
     return None
 
 
-def _read(path: str | Path) -> Orbit:
-    """The orbit of a file; `InputError` says what makes an origin of other files."""
-    if parted(path)[0].suffix in (".toml", ".py"):
-        raise InputError(f"origin: {path} is a problem file; give its Problem: load_problem({str(path)!r})")
-    return load_orbit(path)
-
-
 def _chosen(parameter: str | None, settings: FamilySettings | None, origin: Any) -> str:
     """The parameter that is asked for, by name or by settings other than usual, else the origin's own."""
     usual = FamilySettings().parameter
@@ -236,7 +226,7 @@ def parameter_of(origin: Any) -> str:
     start = _start_of(origin)
     if start and isinstance(start.curve.test, Critical):
         return start.curve.test.parameters[0]
-    return next(iter(start.curve.equations.physical), "energy") if start else "energy"
+    return start.curve.equations.parameter if start else "energy"
 
 
 def _start_of(origin: Any) -> Start | None:
@@ -260,18 +250,16 @@ def _independent(curve: Curve, settings: FamilySettings) -> ClosureCheck | None:
     if not settings.certify:
         return None
     model = curve.equations.model
-    if not model.smooth:
-        return HybridCheck(model)
-    prepare(model, EFFORT)
-    if curve.equations.physical and not system_kind(model.system).reread:
-        prepare(model, EFFORT, curve.equations.physical)
-    return ClosureCheck(model, stiff=curve.equations.by.stiff)
+    if model.smooth:
+        prepare(model, EFFORT)
+        if curve.equations.physical and not system_kind(model.system).reread:
+            prepare(model, EFFORT, curve.equations.physical)
+    return closure_check(model, curve.equations.by.stiff)
 
 
 def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     """`InputError` unless every point of a journal without digests still closes, by independent means."""
-    model = curve.equations.model
-    check = ClosureCheck(model, stiff=curve.equations.by.stiff) if model.smooth else HybridCheck(model)
+    check = closure_check(curve.equations.model, curve.equations.by.stiff)
     for point in (journal.origin, *(p for batch in journal.batches for p in batch.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
         turns = turned(curve.equations.model, np.array(curve.turns), point.shift)
@@ -323,7 +311,7 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Sequence[tuple
             (number_of(last[side], name) - value) * (number_of(member, name) - value) <= 0
             for name, value in goals for many in (met, batch.events) for member in many
         )  # fmt: skip
-        ended = batch.end is not None and end_kind(batch.end.kind).asked
+        ended = batch.end is not None and batch.end.facts.asked
         if batch.points and (side not in last or (passed and not there)):
             beyond = f"points at {batch.points[-1].value:.9g}"
             wanted = " or ".join(f"{name} = {value:.9g}" for name, value in goals) or "none that way"
@@ -340,9 +328,8 @@ def _reopened(folder: Path, journal: Journal, stops: Mapping[int, Sequence[tuple
 
 
 def _request(
-    origin: Orbit | Problem | Start | Branch, settings: FamilySettings, at: Sequence[float],
-    watch: Mapping[str, str | Number],
-) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
+    origin: Any, settings: FamilySettings, at: Sequence[float], watch: Mapping[str, str | Number]
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """What decides whether a journal answers the same question; the number of points and where it ends may differ.
 
     And what the family was started from, for its file.
@@ -445,9 +432,9 @@ def _finish(
     while waiting:
         run = waiting.pop(0)
         done, end = journal.steps(run.direction), journal.end(run.direction)
-        if end is not None and not (end_kind(end.kind).lengthened and len(done) < settings.points):
+        if end is not None and not (end.facts.lengthened and len(done) < settings.points):
             continue
-        if any(batch.end is not None and end_kind(batch.end.kind).closed for batch in batches):
+        if any(batch.end is not None and batch.end.facts.closed for batch in batches):
             break  # a closed family has one direction
         last = done[-1][0] if done else journal.origin
         try:

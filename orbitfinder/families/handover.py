@@ -25,7 +25,6 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.method import Method, begins, named, rescuer
 from orbitfinder.records.codec import plain
-from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import JOURNAL, Batch, End, Event, FamilyPoint, Journal
 from orbitfinder.records.journal import begin_journal
 
@@ -42,7 +41,7 @@ def handed_over(
     """The journal of a family as one of another method, which says why, and its curve, where a run of shooting ended as
     it could not go on; None where it need not be. It is written where there is a folder."""
     p, settings, log = run.curve.equations, run.settings, logging.getLogger(__name__)
-    stuck = end is not None and end_kind(end.kind).stuck and not (settings.method or p.gridded or run.curve.test)
+    stuck = end is not None and end.facts.stuck and not (settings.method or p.gridded or run.curve.test)
     whole = p.symmetry.name == NONE.name and not p.symmetry.relative
     if end is None or not (stuck and whole and (method := rescued(p.model, last.state, last.period))):
         return None

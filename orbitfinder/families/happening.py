@@ -8,12 +8,11 @@ from typing import Any
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import FAILURES
-from orbitfinder.families.branches import LEAVING, left_at
+from orbitfinder.families.branches import left_at, rest_leaving, unled
 from orbitfinder.families.curves import curves_through
 from orbitfinder.families.entries import kind_of
 from orbitfinder.families.equilibrium import Equilibria, RestEvent
 from orbitfinder.families.rest_curves import FORMS
-from orbitfinder.families.start import by_series
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.kind import BUILT_IN, build_model
 from orbitfinder.mechanics.scales import lasting
@@ -52,18 +51,18 @@ def sentence(family: Family, k: int) -> str:
     event, kind = family.events[k], kind_of(family.events[k].kind)
     sides, words = family.sides[k], kind.words.replace(" q times", f" {event.order} times")
     told = [words, f"{sides[0]} before it, {sides[1]} after it" if sides[0] != sides[1] and all(sides) else ""]
-    if kind.branches and event.order > 1:
-        told.append(f"born are orbits of period {lasting(event.order * event.period, family.system, 9)}")
-    elif kind.branches and event.symmetry != NONE.name:
-        told.append(f"what breaks is {event.symmetry.replace('+', ' or ')}, which these orbits have")
+    if kind.branches:
+        born = f"born are orbits of period {lasting(event.order * event.period, family.system, 9)}"
+        breaks = f"what breaks is {event.symmetry.replace('+', ' or ')}, which these orbits have"
+        told.append(born if event.order > 1 else breaks if event.symmetry != NONE.name else "")
     return "; ".join(filter(None, told))
 
 
 def _of_orbits(family: Family, k: int) -> Happening:
     event, kind, told = family.events[k], kind_of(family.events[k].kind), [sentence(family, k)]
     ways, leads = [], "test" not in family.curve and (kind.branches or kind.followed)
-    if leads and by_series(family.curve):
-        told.append(f"what leads on from it is not known by {family.curve['method']} of many coordinates")
+    if leads and (why := unled(family)):
+        told.append(f"what leads on from it is not known by {why}")
     elif leads and event.shooting_nodes.size:
         ways += [f"--switch {k}"] if k in left_at(family) else []
         ways += _curve(family, k) if k in curves_through(family) and not kind.crosses else []
@@ -74,7 +73,7 @@ def _of_orbits(family: Family, k: int) -> Happening:
 
 def _of_rest(rest: Equilibria, k: int) -> Happening:
     event = rest.events[k]
-    ways = [f"--switch {k}"] if event.kind in LEAVING and not rest.curve else []
+    ways = [f"--switch {k}"] if k in rest_leaving(rest) and not rest.curve else []
     ways += _curve(rest, k) if event.kind in FORMS and not rest.curve else []
     return Happening(event, RESTING.get(event.kind, ""), _trusted(rest.system, ways))
 
@@ -83,8 +82,7 @@ def _curve(record: Family | Equilibria, k: int) -> list[str]:
     """The option that follows an event in two parameters, if the system has a second."""
     own, given = record.parameter, record.system.get("arguments", {})
     try:
-        model = build_model(record.system)
-        names = [*model.parameter_names, *(("energy", "period") if model.conservative else ())]
+        names = [*build_model(record.system).parameter_names, "energy", "period"]
     except FAILURES:
         names = [name for name, value in given.items() if isinstance(value, (int, float))]
     others = [name for name in names if name not in (*record.parameters, "energy", "period")]

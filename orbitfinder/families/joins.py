@@ -94,7 +94,7 @@ class Join:
 def joinable(curve: Curve) -> list[Invariance]:
     """What families that this one is its own mirror image about may keep."""
     p = curve.equations
-    if p.links or p.symmetry.relative or curve.test:
+    if not p.plain or curve.test:
         return []
     parts = [Invariance(k) for k in EVEN if not any(turn % k for turn in curve.turns) and not curve.cycles % k]
     if p.symmetry.forward is not None:
@@ -217,8 +217,7 @@ def _beside_join(curve: Curve, solution: Solution, kept: Invariance) -> Start | 
     if "period" in held:
         held["period"] /= kept.covers
     there = curve_at(equations, fresh, tuple(held), np.array(curve.turns) // kept.covers, held)
-    own = next(iter(p.physical), "energy")
-    return corrected(there, fresh, pinned(equations, own, parameter_value(curve, place, own)))
+    return corrected(there, fresh, pinned(equations, p.parameter, parameter_value(curve, place, p.parameter)))
 
 
 def _critical(start: Start, name: str, kept: Invariance) -> Join | None:

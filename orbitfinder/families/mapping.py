@@ -21,9 +21,8 @@ from orbitfinder.families.curves import both_parameters
 from orbitfinder.families.pixels import BEHIND, ParameterPlane, PixelBlock, described, flooded, plane_of
 from orbitfinder.families.plane import BLANK, COLOURED, STOPPED, UNTRIED, ParameterMap
 from orbitfinder.families.point import FamilySettings, extents, make_point, parameter_value
-from orbitfinder.families.start import begin, entry_of, released
+from orbitfinder.families.start import begin, entry_of, released, unknown_parameters
 from orbitfinder.integrate.evaluate import one_thread
-from orbitfinder.integrate.march import divided
 from orbitfinder.loops.continued import NO_ROWS, Solution, at_place
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import Problem
@@ -195,10 +194,11 @@ def _begun(
         physical = tuple(name for name in names if name in model.parameter_names)
         start = begin(replace(problem, expected={}), FamilySettings(parameter=names[0]))
         old = start.curve.equations
-        held = ("energy",) if model.conservative and len(physical) == 2 else ()
-        equations = Equations.of(old.model, old.symmetry, physical, old.by)
-        curve, w = released(start.curve, start.solution.place, equations, (*held, *momenta_of(old.symmetry, old.model)))
-        w = w if old.gridded else w.on(divided(w.mesh, 2))  # it must do for all of the plane
+        equations, held = Equations.of(old.model, old.symmetry, physical, old.by), momenta_of(old.symmetry, old.model)
+        if len(physical) == 2:
+            held = unknown_parameters(model, FamilySettings(parameter=names[0]), held)[1]
+        curve, w = released(start.curve, start.solution.place, equations, held)
+        w = w.on(old.finer(w.mesh))  # it must do for all of the plane
         origin = plain(entry_of(curve)), len(w.nodes), packed(w.mesh[:, None]), packed(w.vector[:, None])
         line = dict(zip(("curve", "segments", "mesh", "vector"), origin, strict=True))
         journal.add(line | {"versions": dict(cluster.packed(None).versions)})
@@ -269,7 +269,12 @@ class _Filling:
         self, number: int, parts: Sequence[tuple[slice, slice]], answers: tasks.Answers, plane: ParameterPlane | str
     ) -> Iterator[tuple[int, int]]:
         """The tasks of a round, each of which sees what the rounds before have left."""
-        requests = {k: self._request(plane, *part) for k, part in enumerate(parts) if (number, k) not in self.known}
+        requests = dict[int, tuple[Any, ...]]()
+        for k, (rows, columns) in enumerate(parts):
+            if (number, k) not in self.known:
+                first = max(rows.start - BEHIND, 0)
+                block = self.block.part(slice(first, rows.stop + BEHIND), slice(None))
+                requests[k] = plane, block, (first, 0), slice(rows.start - first, rows.stop - first), columns
         fresh = answers(list(requests.values()))
         for k in range(len(parts)):
             if k not in requests:
@@ -282,11 +287,6 @@ class _Filling:
 
     def _keep(self, task: tuple[int, int], matrix: np.ndarray) -> None:
         self.journal.add(dict(zip(("round", "task", "pixels"), (*task, packed(matrix)), strict=True)))
-
-    def _request(self, plane: ParameterPlane | str, rows: slice, columns: slice) -> tuple[Any, ...]:
-        first = max(rows.start - BEHIND, 0)
-        block = self.block.part(slice(first, rows.stop + BEHIND), slice(None))
-        return plane, block, (first, 0), slice(rows.start - first, rows.stop - first), columns
 
     def _done(self) -> tuple[int, int]:
         return int((self.block.blank != UNTRIED).sum()), self.block.blank.size
@@ -341,7 +341,7 @@ def verified(made: ParameterMap, model: Model) -> Certificate:
     names, axes = made.parameters, (made.columns, made.rows)
     plane = plane_of(described(made.system, None, made.curve, names, axes, made.mesh, made.nodes.shape[2]), model)
     curve, pixels, worst, wrong = plane.curve, np.argwhere(made.known), np.zeros(2), 0
-    mesh = plane.mesh if curve.equations.gridded else divided(plane.mesh, 2)
+    mesh = curve.equations.finer(plane.mesh)
     for part in np.array_split(pixels, -(-len(pixels) // TOGETHER)) if len(pixels) else ():
         places = [_place(plane, made, pixel).on(mesh) for pixel in part]
         paths = curve.equations.varied_each(places, states=True)

@@ -50,7 +50,7 @@ def whole(orbit: Orbit, model: Model) -> Orbit:
     """
     if len(orbit.samples) > 1:
         return orbit
-    times, samples = _period(orbit, model, SAMPLES)
+    times, samples = _period(orbit, model)
     if not isinstance(orbit, FamilyPoint):
         return replace(orbit, times=times, samples=samples)
     symmetry = recognise(times, samples, model)
@@ -63,7 +63,7 @@ def sampled_point(point: FamilyPoint) -> FamilyPoint:
         model = build_model(point.system)
     except InputError as error:
         raise InputError(f"{error}; or of.simulate(model, point.state, point.period, parameters=point.free)") from error
-    times, samples = _period(point, model, SAMPLES)
+    times, samples = _period(point, model)
     return replace(point, times=times, samples=samples)
 
 
@@ -72,9 +72,9 @@ def _alone(point: FamilyPoint, **changed: Any) -> Orbit:
     return Orbit(**{entry.name: getattr(point, entry.name) for entry in fields(Orbit)} | changed)
 
 
-def _period(orbit: Orbit, model: Model, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Times and states over one period: of a point of a family by its shooting nodes, `count` of them; of a hybrid
-    orbit those of its simulation."""
+def _period(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states over one period: of a point of a family by its shooting nodes; of a hybrid orbit those of its
+    simulation."""
     if not isinstance(orbit, FamilyPoint) and (given := shown(orbit, model)) is not None:
         return given
     if not model.smooth:
@@ -82,9 +82,9 @@ def _period(orbit: Orbit, model: Model, count: int) -> tuple[np.ndarray, np.ndar
     if not isinstance(orbit, FamilyPoint) or not (orbit.curve and orbit.mesh.size):
         return dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
     if by_series(orbit.curve):
-        return np.linspace(0.0, orbit.period, count + 1), series(orbit.shooting_nodes, count)
+        return np.linspace(0.0, orbit.period, SAMPLES + 1), series(orbit.shooting_nodes, SAMPLES)
     curve = curve_of(orbit.curve, model, FamilySettings(parameter=next(iter(orbit.free), "energy")))
-    return full_samples(curve, at_place(curve, unknowns_of(curve, orbit)), count)
+    return full_samples(curve, at_place(curve, unknowns_of(curve, orbit)), SAMPLES)
 
 
 def series(nodes: np.ndarray, count: int) -> np.ndarray:
@@ -144,7 +144,7 @@ def motions(family: Family, model: Model, count: int = 8) -> list[MemberMotion]:
     shown = []
     for k in chosen:
         there = with_parameters(model, points[k].free)
-        path = course(there, *_period(points[k], there, SAMPLES))
+        path = course(there, *_period(points[k], there))
         moments = np.linspace(0.0, path.period, SAMPLES + 1)[: -1 if path.jumps else None]
         joints = None if model.points is None else path.positions(moments)
         shown.append(MemberMotion(points[k], path.samples, joints, model.strokes))

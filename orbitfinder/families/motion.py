@@ -128,10 +128,8 @@ def graded(curve: Curve, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     twice."""
     p, w = curve.equations, solution.place
     mesh = divided(w.mesh, 2 * max(2, int(np.ceil(WATCHED * p.symmetry.fraction / (2 * w.mesh.size - 2)))))
-    if p.gridded:
-        return mesh * w.period, p.gridded.sampled(w.nodes, w.mesh, w.tail, mesh)
     if not p.links:
-        mesh, states = p.symmetry.whole(mesh, p.march.states(w.nodes, mesh, w.tail), curve.constant)
+        mesh, states = p.symmetry.whole(mesh, p.march.arcs[0].sampled(w.nodes, w.mesh, w.tail, mesh), curve.constant)
         return mesh * w.period, states
     arcs, w = p.links.count, w.on(mesh)
     solution, steps = replace(solution, place=w, march=p.varied(w, states=True)), (w.mesh.size - 1) // arcs

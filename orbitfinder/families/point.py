@@ -10,7 +10,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.motion import watched
-from orbitfinder.families.stability import LARGEST, Spectrum, spectrum, transitions
+from orbitfinder.families.stability import LARGEST, Spectrum, spectrum
 from orbitfinder.loops.conditions import measured
 from orbitfinder.loops.continued import CORRECTOR, Curve, Solution
 from orbitfinder.loops.loop import Unknowns
@@ -144,16 +144,17 @@ def make_point(
 
 def growth(curve: Curve, solution: Solution, about: Spectrum, units: np.ndarray) -> float:
     """How many times an error in `units` (d) grows until the end of an orbit, at most."""
-    parts = transitions(curve, solution) * units / units[:, None]
+    p = curve.equations
+    parts = p.links.saltated(solution.place, solution.march, p.march) * units / units[:, None]
     largest = float(np.abs(about.floquet.multipliers).max(initial=1.0))
     return min(max(largest, carried(parts, np.ones(units.size))[1]), LARGEST)
 
 
 def action_at(curve: Curve, solution: Solution) -> float:
     """The action over the horizon (J s) of the place after Newton's last step, which may have changed the energy: by
-    dE, and so the action by T dE."""
+    dE, and so the action by T dE. What lies within segments may have moved too."""
     w = solution.place
-    if solution.stepped < CORRECTOR.unmoved and not curve.equations.gridded:
+    if solution.stepped < CORRECTOR.unmoved and not solution.march.change:
         return solution.march.integral
     return curve.equations.march.integral(w.nodes, w.mesh, w.tail)
 

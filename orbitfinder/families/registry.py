@@ -114,10 +114,10 @@ def tests_of(interval: Interval, second: bool) -> Iterator[Test]:
 
     Raises `InputError` for a kind that makes anything but `Test`s of known kinds.
     """
-    for name, kind in KINDS.items():
-        if kind.test is None or kind.second != second:
+    for name, tested in Told("test").items():
+        if KINDS[name].second != second:
             continue
-        tests = kind.test(interval)
+        tests = tested(interval)
         tests, where = list(tests) if isinstance(tests, Iterable) else tests, f"EventKind {name!r}, test"
         check(where, "Sequence[Test]", tests)
         for test in tests:

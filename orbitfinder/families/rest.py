@@ -50,8 +50,7 @@ class RestPoint:
 
 def can_rest(curve: Curve) -> bool:
     """Whether orbits of a family may shrink to an equilibrium: autonomous, of one arc, not relative, not running."""
-    p = curve.equations
-    return not (p.links or p.model.forced or p.symmetry.relative or curve.test or any(curve.turns))
+    return curve.equations.can_rest and not (curve.test or any(curve.turns))
 
 
 def deviations(curve: Curve, place: Unknowns, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

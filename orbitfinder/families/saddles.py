@@ -83,10 +83,13 @@ def _speeds(curve: Curve, rates: np.ndarray) -> np.ndarray:
 
 
 def near_saddle(curve: Curve, solution: Solution) -> bool:
-    """Whether an orbit is slowest near an equilibrium with a growing direction, relative to its extents.
+    """Whether an orbit is slowest near an equilibrium with a growing direction, relative to its extents; of what is
+    driven none is.
 
     Without one, a slow and long orbit is no nearly homoclinic one.
     """
+    if curve.equations.model.forced:
+        return False
     return _grows(solution, rest_near(curve, solution, slowness(curve, solution)[1], SLOW.near)[1])
 
 
@@ -159,7 +162,10 @@ def blown_up(run: Run, step: Walked, more: str = "") -> End | None:
     kind, what = (
         ("homoclinic", "orbit of the saddle") if len(saddles) == 1 else ("heteroclinic", "cycle of the saddles")
     )
-    named = " and ".join(f"q = {np.array2string(x[:n], precision=6)} (eigenvalues {_written(by)})" for x, by in saddles)
+    written = [", ".join(f"{v.real:.6g}{f' {v.imag:+.6g}i' if v.imag else ''}" for v in np.sort_complex(by))
+               for _, by in saddles]  # fmt: skip
+    named = " and ".join(f"q = {np.array2string(x[:n], precision=6)} (eigenvalues {values})"
+                         for (x, _), values in zip(saddles, written, strict=True))  # fmt: skip
     reason = (
         f"{grown} towards a {kind} {what} {named} at {run.settings.parameter} {value:.12g} (+- {error:.1g}){settles}"
     )
@@ -180,10 +186,6 @@ def told_apart(curve: Curve, solution: Solution, known: Sequence[Saddle]) -> lis
         gaps = [np.abs(np.where(angular, np.exp(1j * (x - y)) - 1, (x - y) / units)).max() for y, _ in saddles]
         saddles += [(x, by)] if all(gap > SLOW.passed for gap in gaps) else []
     return saddles
-
-
-def _written(values: np.ndarray) -> str:
-    return ", ".join(f"{v.real:.6g}{f' {v.imag:+.6g}i' if v.imag else ''}" for v in np.sort_complex(values))
 
 
 def _limit(run: Run, step: Walked, known: Sequence[Saddle]) -> tuple[float, float, str]:

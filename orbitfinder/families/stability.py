@@ -123,7 +123,7 @@ class RootFactors:
     whole: np.ndarray
     basis: np.ndarray
     root: int
-    discretised: np.ndarray | float = 0.0
+    discretised: np.ndarray
 
 
 def spectrum(curve: Curve, solution: Solution) -> Spectrum:
@@ -146,10 +146,10 @@ def spectrum(curve: Curve, solution: Solution) -> Spectrum:
         values, vectors = chain.product.values, np.zeros((0, 0))
         values = np.where(np.abs(values) < LARGEST, values, LARGEST)  # beyond the range of numbers
     floquet = judged(values**root, conservative)
-    indices = judged(values).indices if conservative else floquet.indices
+    indices = judged(values, conservative).indices
     krein: tuple[int, ...] = ()
     turns, form = np.zeros(indices.size, int), None
-    if conservative:
+    if indices.size:
         form = _form(curve, place.nodes[0], place, basis)
         upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1.0, 1.0)))
         if chain is not None and any(map(_turning, [*floquet.multipliers, *upper])):
@@ -168,7 +168,7 @@ def reduced_maps(curve: Curve, solutions: Sequence[Solution]) -> tuple[np.ndarra
     slopes = [p.quantities_at(place)[1] if p.energy else np.zeros((0, p.size)) for place in places]
     bases, units = _bases(curve, [place.nodes[0] for place in places], flows, slopes), curve.units
     with np.errstate(over="ignore", invalid="ignore"):
-        each = np.array([transitions(curve, solution) for solution in solutions])
+        each = np.array([p.links.saltated(solution.place, solution.march, p.march) for solution in solutions])
         matrices = reduce(lambda before, after: after @ before, each.swapaxes(0, 1))
         root_maps, root = p.symmetry.root(matrices, lambda other: _inverses(curve, solutions, matrices) @ other, p.size)
         reduced = bases.swapaxes(1, 2) @ (root_maps * units / units[:, None]) @ bases
@@ -191,7 +191,7 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
     """
     p, w, units = curve.equations, solution.place, curve.units
     states, matrices = solution.march.states[:: w.steps], solution.march.transitions * units / units[:, None]
-    if not p.gridded and not np.linalg.cond(matrices).max() <= STRETCHED:
+    if w.steps > 1 and not np.linalg.cond(matrices).max() <= STRETCHED:
         states = p.march.states(w.nodes, w.mesh, w.tail)[:: gcd(w.steps, QUANTUM)]
         matrices = p.march.varied(states[:-1], w.mesh, w.tail).transitions * units / units[:, None]
     matrices, places = merged(matrices)
@@ -208,10 +208,9 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
         made=lambda matrix: [matrix * units / units[:, None]],
         times=lambda after, before: before + after,
     )
-    flows = p.march.rates(states, w.tail)
     none = np.zeros((0, p.size))
     slopes = [p.march.at(p.quantities, x, w.free)[1] if p.energy else none for x in states]
-    bases = _bases(curve, states, flows, slopes)
+    bases = _bases(curve, states, p.march.arcs[0].flows(states, w.tail), slopes)
     reduced = [bases[b].T @ factor @ bases[a] for factor, (a, b) in zip(factors, pairwise(stops), strict=True)]
     missed = 0.0
     if p.symplectic:
@@ -223,11 +222,10 @@ def _chain(curve: Curve, solution: Solution) -> RootFactors:
     with np.errstate(over="ignore", invalid="ignore"):
         whole = np.nan_to_num(reduce(lambda before, after: after @ before, reduced))
     found = product(reduced)
-    off: np.ndarray | float = 0.0
-    if p.gridded:  # the error (d) with which factors of so many steps each are known
-        grown, steps = np.log(np.abs(np.diagonal(found.upper, axis1=1, axis2=2)) + LEAST), np.diff(places)
-        steps = (steps if len(steps) == len(grown) else np.full(len(grown), steps.max()))[:, None]
-        off = (steps * p.gridded.growth_errors(grown / steps)).sum(axis=0)
+    # the error (d) with which factors of so many steps each are known
+    grown, steps = np.log(np.abs(np.diagonal(found.upper, axis1=1, axis2=2)) + LEAST), np.diff(places)
+    steps = (steps if len(steps) == len(grown) else np.full(len(grown), steps.max()))[:, None]
+    off = (steps * p.march.arcs[0].growth_errors(grown / steps)).sum(axis=0)
     return RootFactors(found, missed, np.clip(whole, -LARGEST, LARGEST), bases[0], root, off)
 
 
@@ -246,20 +244,6 @@ def _form(curve: Curve, x: np.ndarray, w: Unknowns, basis: np.ndarray) -> np.nda
     return np.asarray(half - half.T)
 
 
-def transitions(curve: Curve, solution: Solution) -> np.ndarray:
-    """The state-transition matrices of all segments, through the events where there are some."""
-    p, place = curve.equations, solution.place
-    if not p.links:
-        return solution.march.transitions
-    arcs = p.links.count
-    shares = p.links.shares(place.free) * arcs  # rates are in arcs' own periods
-    late = np.vstack([arc.rates(end[None], place.tail) for arc, end in
-                      zip(p.march.arcs, solution.march.ends[p.links.ends(len(place.nodes))], strict=True)])  # fmt: skip
-    starts = place.nodes[:: len(place.nodes) // arcs]
-    early = np.vstack([arc.rates(x[None], place.tail) for arc, x in zip(p.march.arcs, starts, strict=True)])
-    return p.links.saltated(place, solution.march, late / shares[:, None], np.roll(early / shares[:, None], -1, axis=0))
-
-
 def _inverses(curve: Curve, solutions: Sequence[Solution], matrices: np.ndarray) -> np.ndarray:
     """A^-1 by symplecticity, C A^-1 C'^-1 = -J (C' A C^-1)^T J in canonical coordinates; as it is without."""
     if not curve.equations.symplectic:
@@ -273,30 +257,23 @@ def _inverses(curve: Curve, solutions: Sequence[Solution], matrices: np.ndarray)
 
 
 def _bases(curve: Curve, states: Sequence[np.ndarray], flows: np.ndarray, slopes: Sequence[np.ndarray]) -> np.ndarray:
-    """Bases (k x d x r, columns), in the curve's units, of what is neither along the flow (k x d) at states (k of d)
-    nor along another symmetry, nor changes an invariant, whose `slopes` (k of ... x d) are given.
+    """Bases (k x d x r, columns), in the curve's units, of what is neither along the flows (k x ... x d) at states (k
+    of d) nor along another symmetry, nor changes an invariant, whose `slopes` (k of ... x d) are given.
     """
     p = curve.equations
-    none = np.zeros((len(states), 0, p.size))
-    directions = np.array([generated(p.model, x) for x in states]) if p.model.invariants else none
-    if not p.model.forced:
-        directions = np.concatenate([flows[:, None], directions], axis=1)
+    others = np.array([generated(p.model, x) for x in states]) if p.model.invariants else flows[:, :0]
     gradients = np.array([slope[: p.energy] for slope in slopes])
-    return complement(gradients * curve.units, directions / curve.units)
+    return complement(gradients * curve.units, np.concatenate([flows, others], axis=1) / curve.units)
 
 
 def _flows(curve: Curve, solutions: Sequence[Solution]) -> np.ndarray:
-    """The field (k x d) at x(0) of each. Raises `ConvergenceError` unless all of the orbits move."""
-    p = curve.equations
-    if p.model.forced:  # what is driven may stand still at that moment, or be carried through one
-        flows = np.zeros((len(solutions), p.size))
+    """The flow (k x ... x d) at x(0) of each. Raises `ConvergenceError` unless all of the orbits move."""
+    p, places = curve.equations, [solution.place for solution in solutions]
+    flows = p.march.arcs[0].flows(np.array([w.nodes[0] for w in places]), np.array([w.tail for w in places]))
+    still = ~flows.any(axis=(1, 2))
+    if not flows.size:  # what is driven may stand still at that moment, or be carried through one
         moved = np.ptp([solution.march.states for solution in solutions], axis=1)
         still = np.all(moved * np.sqrt(curve.weights[: p.size]) <= STILL, axis=1)
-    else:
-        places = [solution.place for solution in solutions]
-        starts, tails = np.array([w.nodes[0] for w in places]), np.array([w.tail for w in places])
-        flows = p.march.arcs[0].rates(starts, tails)
-        still = ~np.any(flows, axis=1)
     if np.any(still):
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
     return flows

@@ -14,7 +14,7 @@ from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError, Integrati
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.motion import SAMPLES, full_samples, whole_motion
 from orbitfinder.families.point import FamilySettings, parameter_value
-from orbitfinder.integrate.march import rounded, uniform
+from orbitfinder.integrate.march import March, rounded, uniform
 from orbitfinder.loops.conditions import QUANTITIES, Pin, clock, conserved, followed, measured, pinned, quantities
 from orbitfinder.loops.continued import Curve, Solution, begun, correct, kernel, make_curve, tangent
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
@@ -47,8 +47,6 @@ from orbitfinder.records.family import AGAIN, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit, refuse_controlled
 from orbitfinder.records.reading import read_as
 
-FIRST_STEPS = 160
-"""Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
 LOOKS = (40, 160, 640)
 """... in one segment, to see where a motion goes"""
 COVERED = 1e-5
@@ -85,7 +83,7 @@ def begin(
     by = settings.method or problem.method
     free, held = unknown_parameters(problem.model, settings, momenta_of(problem.boundary, problem.model))
     by_momentum = bool(problem.relative) and settings.parameter in momenta_of(problem.boundary, problem.model)
-    if (free and problem.model.conservative) or by_momentum:
+    if (free and families_in(problem.model)) or by_momentum:
         return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held, settings.parameter)
     if settings.beside:
         return _freed(begin(problem, replace(settings, beside=""), symmetry), free, held, settings.parameter)
@@ -97,7 +95,7 @@ def begin(
     start = (_found_first if chosen else _tried)(base, free)
     if start.curve.equations.gridded:
         return start
-    if symmetry == "auto" and problem.model.smooth and not problem.relative:
+    if symmetry == "auto" and not problem.relative:
         wanted = symmetry_of(start.curve, start.solution)
     return reformulated(start, related(named(wanted, problem.model), problem.model, problem.relative))
 
@@ -171,38 +169,42 @@ def unknown_parameters(
     `momenta` of the coordinates that orbits are relative in are held, or one of them is followed and the energy held.
     Others are not: an orbit closes for one value of each, at which nothing drifts.
     """
-    name, alone = settings.parameter, {*ungenerated(model)} - {"energy"}
-    conserved = [each for each in followed(model) if each not in alone]
-    if name in conserved:
-        if not model.conservative:
-            raise InputError(
-                f"parameter: orbits of this system do not come in families by {name}; continue in a physical parameter"
-                f" ({', '.join(model.parameter_names[:20]) or 'it has none'})"
-            )
-        if name not in momenta:
-            return (), momenta
-        return (), ("energy", *(one for one in momenta if one != name))
+    name, families, alone = settings.parameter, families_in(model), {*ungenerated(model)} - {"energy"}
+    if name in families:
+        return (), tuple(each for each in ("energy", *momenta) if each != name) if name in momenta else momenta
+    if name in followed(model) and name not in alone:
+        raise InputError(
+            f"parameter: orbits of this system do not come in families by {name}; continue in a physical parameter"
+            f" ({', '.join(model.parameter_names[:20]) or 'it has none'})"
+        )
     if name in quantities(model) and name not in alone:
         raise InputError(
             f"parameter: {name} is not the same wherever on an orbit t = 0 is, which a family chooses; pin it in the "
             "problem, and continue in the energy or a physical parameter"
         )
     if name not in model.parameter_names:
-        known = [*(conserved if model.conservative else []), *model.parameter_names]
+        known = [*families, *model.parameter_names]
         raise InputError(f"parameter: unknown {name!r}{closest(name, known)}; use one of {', '.join(known[:20])}")
     if settings.beside:
         known = [each for each in model.parameter_names if each != name]
-        if model.conservative or model.forced or settings.beside not in known:
-            why = "this system keeps its energy; use hold" if model.conservative else "its forcing has the period"
-            why = why if model.conservative or model.forced else f"use one of {', '.join(known[:20]) or 'none'}"
+        why = "" if settings.beside in known else f"use one of {', '.join(known[:20]) or 'none'}"
+        why = "its forcing has the period" if model.forced else why
+        if why := "this system keeps its energy; use hold" if families else why:
             raise InputError(f"beside: {settings.beside!r}: {why}")
         return (name, settings.beside), ("period", *momenta)
-    if not model.conservative:
+    if not families:
         return (name,), momenta
     holds = [each for kind in QUANTITIES.values() if kind.held for each in kind.names(model)]
     if settings.hold not in holds:
         raise InputError(f"hold: must be {' or '.join(holds)}, got {settings.hold!r}")
     return (name,), (settings.hold, *momenta)
+
+
+def families_in(model: Model) -> list[str]:
+    """What the orbits of one system come in families by: the energy, the period, momenta; nothing where no energy is
+    kept."""
+    alone = {*ungenerated(model)} - {"energy"}
+    return [each for each in followed(model) if each not in alone] if model.conservative else []
 
 
 def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...], name: str) -> Start:
@@ -227,22 +229,19 @@ def _start(problem: Problem, free: tuple[str, ...], by: str | None = None) -> St
     begin = method.method_of(problem, by)[1].begin if by else None
     if begin:
         problem = at_forcing_period(problem)
-    equations, place = (begin or _shot)(problem, free)
+        equations, place = begin(problem, free)
+    else:
+        equations, guess, steps = Equations.of(problem.model, problem.boundary, free), problem.guess, March.first_steps
+        mesh = uniform(equations.symmetry.fraction, 1, int(steps * equations.symmetry.fraction))
+        place = equations.unknowns(guess.start[None], guess.period, mesh)
+        if equations.links:
+            place = first_unknowns(equations, guess, 1, rounded(steps / equations.links.count))
+        equations.march.ahead()
     momenta, pins = momenta_of(problem.boundary, problem.model), [] if free else list(problem.pin)
     curve = curve_at(equations, place, momenta, problem.turns, {held.name: held.value for held in problem.pin})
     pin = next((one for one in pins if one.name not in momenta), None)
     aim = pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place)
     return corrected(curve, place, aim, place if begin else None)
-
-
-def _shot(problem: Problem, free: tuple[str, ...]) -> tuple[Equations, Unknowns]:
-    equations = Equations.of(problem.model, problem.boundary, free)
-    fraction, state = equations.symmetry.fraction, problem.guess.start
-    place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
-    if equations.links:
-        place = first_unknowns(equations, problem.guess, 1, rounded(FIRST_STEPS / equations.links.count))
-    equations.march.ahead()
-    return equations, place
 
 
 def curve_at(
@@ -259,18 +258,13 @@ def curve_at(
     model, symmetry = equations.model, equations.symmetry
     alone = ungenerated(model)[1:]
     steps, states = _looked_at(equations, place)
-    whole, end = None if symmetry.maps else turns, states[-1]
-    if equations.links:
-        end = equations.links.passed(place, equations.ends(replace(place, mesh=steps)))[0][-1]
-    constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], end, whole)
-    values, whole_motion = equations.quantities_at(place)[0], symmetry.whole(steps, states, constant)[1]
-    cycles = max(1, round(place.period / float(values[-1]))) if model.forced else 0
-    kept = {name: (given or {}).get(name) for name in (*held, *alone)}
-    if "energy" in kept and kept["energy"] is None and not model.conservative:
-        del kept["energy"]
-    numbers = {name: measured(equations, place, name) if value is None else value for name, value in kept.items()}
+    end, given = equations.links.after(-1, states[-1], place.free), given or {}
+    constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], end, None if symmetry.maps else turns)
+    cycles = model.forcing_cycles(place.period, float(equations.quantities_at(place)[0][-1]))
+    numbers = {name: given[name] if name in given else measured(equations, place, name) for name in (*held, *alone)}
     fixed = clock(equations, cycles) + tuple(pinned(equations, name, value) for name, value in numbers.items())
-    return make_curve(equations, constant, place, fixed, lengths(model, states), whole_motion)
+    unit, states = lengths(model, states), symmetry.whole(steps, states, constant)[1]
+    return make_curve(equations, constant, place, fixed, unit, states)
 
 
 def ungenerated(model: Model) -> tuple[str, ...]:
@@ -352,8 +346,7 @@ def entry_of(curve: Curve) -> dict[str, Any]:
     relative = list(shifting(p.symmetry, p.model))
     known = {"symmetry": p.symmetry.name, "free": list(p.free), "constant": curve.constant, "winding": curve.turns,
              "weights": curve.weights, "held": held, "period": period}  # fmt: skip
-    known |= {"method": p.by.name} if p.gridded else {}
-    more = {"cycles": curve.cycles, "relative": relative, "watch": watch, "test": curve.test,
+    more = {"method": p.method, "cycles": curve.cycles, "relative": relative, "watch": watch, "test": curve.test,
             "pins": pins}  # fmt: skip
     return known | {name: value for name, value in more.items() if value}
 
@@ -386,7 +379,7 @@ class CurveEntry:
 
 def _own_aim(curve: Curve, place: Unknowns, name: str = "") -> Condition:
     """The parameter of a name, the first freed one or else the energy, at the value that it has at a place."""
-    name = name or next(iter(curve.equations.physical), "energy")
+    name = name or curve.equations.parameter
     return pinned(curve.equations, name, parameter_value(curve, place, name))
 
 
@@ -438,13 +431,6 @@ def symmetry_of(curve: Curve, solution: Solution) -> str:
     return next(kept, NONE.name)
 
 
-def _motion(curve: Curve, solution: Solution) -> CubicHermiteSpline:
-    """The states over the whole period."""
-    times, states = full_samples(curve, solution, 4 * SAMPLES)
-    tail = np.concatenate([[times[-1]], np.zeros(curve.equations.march.unfolding), curve.equations.numbers])
-    return CubicHermiteSpline(times, states, curve.equations.march.rates(states, tail, times))
-
-
 def _symmetric_instant(curve: Curve, motion: CubicHermiteSpline, symmetry: Symmetry) -> float:
     """When a motion is nearest to the fixed set that the horizon starts in, of all times that it comes near."""
     model, involution, times = curve.equations.model, symmetry.maps[0], motion.x
@@ -462,7 +448,7 @@ def _symmetric_instant(curve: Curve, motion: CubicHermiteSpline, symmetry: Symme
     return float(instants[np.abs(away(instants)).max(axis=1).argmin()])
 
 
-def return_gaps(states: np.ndarray, parts: int, smooth: bool = True) -> np.ndarray:
+def return_gaps(curve: Curve, states: np.ndarray, parts: int) -> np.ndarray:
     """The largest |x(t + T / parts) - x(t)| (2n) of states at equal times over a period T, but for whole turns of what
     runs round: a motion may pass its start twice nearly alike. Between events, where it jumps, that of t = 0."""
     low, share = divmod((len(states) - 1) / parts, 1.0)
@@ -470,16 +456,18 @@ def return_gaps(states: np.ndarray, parts: int, smooth: bool = True) -> np.ndarr
     on = np.vstack([states, states[1:] + gone, states[1:2] + 2 * gone])[int(low) :][: len(states) + 1]
     turns = 2 * np.pi * np.round(gone / (2 * np.pi * parts))
     gaps = np.abs(on[:-1] + share * np.diff(on, axis=0) - states - turns)
-    return np.asarray(gaps.max(axis=0) if smooth else gaps[0])
+    return np.asarray(gaps[curve.equations.links.comparable].max(axis=0))
 
 
 def reformulated(start: Start, symmetry: Symmetry) -> Start:
     """The same orbit in the formulation of another symmetry, started at a brake instant where that needs one."""
-    old, place = start.curve, start.solution.place
+    old, place, march = start.curve, start.solution.place, start.curve.equations.march
     if symmetry == old.equations.symmetry:
         return start
-    model = old.equations.model
-    motion, fraction = _motion(old, start.solution), symmetry.fraction
+    model, fraction = old.equations.model, symmetry.fraction
+    times, states = full_samples(old, start.solution, 4 * SAMPLES)
+    tail = np.concatenate([[times[-1]], np.zeros(march.unfolding), old.equations.numbers])
+    motion = CubicHermiteSpline(times, states, march.rates(states, tail, times))
     parts = max(1, round(len(place.nodes) * fraction))  # more than one where it is too unstable for one
     begin = _symmetric_instant(old, motion, symmetry) if symmetry.reverses else 0.0
     laps, instants = np.divmod(begin + place.period * fraction * np.arange(parts) / parts, place.period)
@@ -490,7 +478,7 @@ def reformulated(start: Start, symmetry: Symmetry) -> Start:
     equations = Equations.of(model, symmetry, old.equations.free)
     fresh = equations.unknowns(nodes, place.period, np.zeros(0), place.free)
     curve = replace(curve_at(equations, fresh), conditions=old.conditions, weights=old.weights)
-    most = max(FIRST_STEPS, (place.mesh.size - 1) / old.equations.symmetry.fraction)  # of several turns, more
+    most = max(March.first_steps, (place.mesh.size - 1) / old.equations.symmetry.fraction)  # of several turns, more
     steps = max(8, int(most * fraction / len(fresh.nodes)))
     fresh = replace(fresh, mesh=uniform(equations.symmetry.fraction, len(fresh.nodes), steps))
     return corrected(curve, fresh, _own_aim(old, place))

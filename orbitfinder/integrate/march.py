@@ -65,6 +65,9 @@ class March:
     name: ClassVar[str] = "shooting"
     stiff: ClassVar[bool] = False
     """Its name in the table of methods, and whether what it is for is stiff"""
+    first_segments: ClassVar[int] = 1
+    first_steps: ClassVar[int] = 160
+    """Segments of one period of a guess, before there is an error estimate to go by, and the steps in each"""
 
     def __init__(
         self,
@@ -189,6 +192,11 @@ class March:
         path = self._marched(False, start, _parameters(mesh, tail), 1 + self.size)[1]
         return np.vstack([nodes[:1], _finite(path, nodes)[:, 1:]])
 
+    def sampled(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """States (k x d) at the places (k, in periods) of a mesh that is finer than the orbit's."""
+        del mesh
+        return self.states(nodes, places, tail)
+
     def beside(self, varied: bool, loops: Sequence[Placed], kept: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Numbers (t, x) or (t, x, vec Y, S) at the ends of all segments of loops on meshes of their own, in one
         call; of every step's the first `kept`. What leaves the numbers stays so."""
@@ -277,6 +285,16 @@ class March:
         moments = np.reshape(times, (-1, 1))
         return self._lanes.evaluated(self.field, 1, moments, states, np.atleast_2d(s), np.atleast_2d(free))
 
+    def flows(self, states: np.ndarray, tails: np.ndarray) -> np.ndarray:
+        """The directions (k x 1 x d) in which time shifts a motion at states (k x d); none (k x 0 x d) where it is
+        driven."""
+        return np.zeros((len(states), 0, self.size)) if self.forced else self.rates(states, tails)[:, None]
+
+    def growth_errors(self, grown: np.ndarray) -> np.ndarray:
+        """The relative error with which a segment lets errors grow exp(z) times, z being given (...); 0 where that is
+        not known."""
+        return np.zeros_like(grown)
+
     def along(self, function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
         """Any function at k places (k x ... each)."""
         return self._lanes.evaluated(function, 1, *arguments)
@@ -346,6 +364,7 @@ class Gridded(March):
     """
 
     wide = False  # type: ignore[assignment]
+    first_segments, first_steps = 40, 1
 
     def fits(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> bool:
         """Whether a mesh is as fine as it should be, and where it should be, for an orbit of nodes (N x d)."""
@@ -357,18 +376,9 @@ class Gridded(March):
         """Nodes and mesh of the same orbit over `count` segments, 0 for as many as it asks for; begins with them."""
         raise NotImplementedError
 
-    def sampled(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """States (k x d) at places (k, in periods)."""
-        raise NotImplementedError
-
     def once(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> Varied:
         """`varied` with states for Newton's method; what is within segments may be changed once, not solved."""
         return self.varied(nodes, mesh, tail, states=True)
-
-    def growth_errors(self, grown: np.ndarray) -> np.ndarray:
-        """The relative error with which a segment lets errors grow exp(z) times, z being given (...); 0 where that is
-        not known."""
-        return np.zeros_like(grown)
 
 
 class Marches:

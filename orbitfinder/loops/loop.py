@@ -30,7 +30,7 @@ from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.sizes import EPSILON, nonzero
 from orbitfinder.integrate.compiled import mode
 from orbitfinder.integrate.evaluate import Buffered
-from orbitfinder.integrate.march import Gridded, March, Marches, Varied
+from orbitfinder.integrate.march import Gridded, March, Marches, Varied, divided
 from orbitfinder.loops.condensed import Inner, Linearised
 from orbitfinder.loops.symmetry import Symmetry, moved, symplectic
 from orbitfinder.mechanics.hybrid import Transition, freed, share
@@ -218,6 +218,30 @@ class Equations:
         """What integrates on a mesh of its own, if anything does: then there are many segments, of a step each."""
         return self.march if isinstance(self.march, Gridded) else None
 
+    @property
+    def method(self) -> str:
+        """The name of the method of such a mesh; "" by shooting."""
+        return self.by.name if self.gridded else ""
+
+    def finer(self, mesh: np.ndarray) -> np.ndarray:
+        """A mesh in steps half as long; where the march chooses it, as it is."""
+        return mesh if self.gridded else divided(mesh, 2)
+
+    @property
+    def plain(self) -> bool:
+        """Whether motions do not jump and come back without a shift."""
+        return not (self.links or self.symmetry.relative)
+
+    @property
+    def can_rest(self) -> bool:
+        """Whether motions may shrink to an equilibrium: plain ones that nothing drives."""
+        return self.plain and not self.model.forced
+
+    @property
+    def parameter(self) -> str:
+        """What a family is followed in unless told: the first freed parameter, or the energy."""
+        return next(iter(self.physical), "energy")
+
     @cached_property
     def links(self) -> Links:
         """What leads from each arc of a hybrid system to the next."""
@@ -399,6 +423,8 @@ class Links:
     def __init__(self, model: Model, free: tuple[str, ...], parts: int = 1) -> None:
         arcs = () if model.smooth else model.hybrid.part(parts)
         self.count, self.parts, self.transitions = max(1, len(arcs)), parts, tuple(transition for _, transition in arcs)
+        self.comparable = slice(1 if arcs else None)
+        """of states at equal times those that a part of the period may repeat: where motions jump, the first alone"""
         self._parts = [Buffered(_link(model, transition, free, True)) for transition in self.transitions]
         self._passes = [Buffered(_link(model, transition, free, False)) for transition in self.transitions]
 
@@ -442,8 +468,8 @@ class Links:
         return after, guards
 
     def after(self, arc: int, x: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """The state (d) after the event that ends an arc at x."""
-        return self._passes[arc](x, free)[0].ravel()
+        """The state (d) after the event that ends an arc at x; x itself where no event does."""
+        return self._passes[arc](x, free)[0].ravel() if self else x
 
     def varied(self, w: Unknowns, path: Varied) -> tuple[np.ndarray, np.ndarray, Inner]:
         """Transitions and columns through the resets, and the guards' rows (`Linearised.inner`)."""
@@ -457,14 +483,21 @@ class Links:
             columns[k][:, last:] += by_free
         return transitions, columns, (places, np.array(slopes), np.array(tails))
 
-    def saltated(self, w: Unknowns, path: Varied, late: np.ndarray, early: np.ndarray) -> np.ndarray:
-        """The transitions (N x d x d) with each event's own time eliminated, by the rates before and after (K x d).
+    def saltated(self, w: Unknowns, path: Varied, march: March | Marches) -> np.ndarray:
+        """The transitions (N x d x d) with each event's own time eliminated, by the rates f before and after it.
 
         S = DR + (f+ - DR f-) grad g / (grad g . f-). Source: R. Leine, H. Nijmeijer, Dynamics and Bifurcations of
         Non-Smooth Mechanical Systems (2004), section 7.
         """
-        transitions = path.transitions.copy()
-        each = zip(self.ends(len(transitions)), self.at(w, path.ends), late, early, strict=True)
+        if not self:
+            return path.transitions
+        transitions, ends = path.transitions.copy(), self.ends(len(path.ends))
+        shares = self.shares(w.free)[:, None] * self.count  # rates are in arcs' own periods
+        early, late = (
+            np.vstack([arc.rates(x[None], w.tail) for arc, x in zip(march.arcs, states, strict=True)]) / shares
+            for states in (w.nodes[:: len(w.nodes) // self.count], path.ends[ends])
+        )
+        each = zip(ends, self.at(w, path.ends), late, np.roll(early, -1, axis=0), strict=True)
         for k, (_, _, by_x, _, slope, _), before, after in each:
             rate = (slope @ before).item()  # 0 where the guard is grazed
             turn = np.outer(after - by_x @ before, slope) / (rate if abs(rate) > GRAZED else GRAZED)

@@ -403,11 +403,12 @@ class Model(Shown):
             return tuple((i, half + i) for i in range(half))
         return tuple(combinations(range(self.degrees_of_freedom), 2)) or ((0, 0),)
 
-    def forcing_cycles(self, period: float) -> int:
-        """Periods of the forcing in `period` (s), to the nearest and at least 1; 0 for an autonomous model."""
+    def forcing_cycles(self, period: float, beat: float | None = None) -> int:
+        """Periods of the forcing, its own or `beat`, in `period` (s), to the nearest and at least 1; 0 for an
+        autonomous model."""
         if self.forcing_period is None:
             return 0
-        return max(1, round(period / self.driving_period))
+        return max(1, round(period / (self.driving_period if beat is None else beat)))
 
     def check_clock(self, name: str, numbers: Sequence[float] | np.ndarray) -> None:
         """`InputError` for values of a physical parameter at which the forcing has no period."""

@@ -387,6 +387,11 @@ class HybridCheck(ClosureCheck):
             self._automaton = Automaton(with_parameters(self._model, self._at))
 
 
+def closure_check(model: Model, stiff: bool) -> ClosureCheck:
+    """What a family's orbits are checked with, of a model that may be hybrid."""
+    return ClosureCheck(model, stiff=stiff) if model.smooth else HybridCheck(model)
+
+
 def shares_of(model: Model) -> np.ndarray:
     """The shares of the period that a hybrid Model's arcs take, by its parameters."""
     return np.array([float(share(model, k, model.parameter_values)) for k in range(len(model.cycle))])

@@ -26,7 +26,7 @@ from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder._runtime.rooms import loaded
 from orbitfinder.errors import InputError, closest, plural, shortened
 from orbitfinder.records.codec import Complexes, Filed, Unknown, check_format, entries_of, layout, plain, unsealed
-from orbitfinder.records.ends import unknown_end
+from orbitfinder.records.ends import EndKind, end_kind, unknown_end
 from orbitfinder.records.journal import append_line, read_lines
 from orbitfinder.records.orbit import Orbit, incomputable, system_at
 from orbitfinder.records.reading import (
@@ -258,6 +258,11 @@ class End:
     def __repr__(self) -> str:
         """In a line: what it was solved for is in its fields."""
         return f"End(kind={self.kind!r}, reason={shortened(self.reason, 200)!r})"
+
+    @property
+    def facts(self) -> EndKind:
+        """What is to be done at an end of its kind."""
+        return end_kind(self.kind)
 
 
 def reached(name: str, value: float) -> str:
