@@ -243,8 +243,8 @@ def test_kinds_of_systems_are_asked_in_one_file():
 
 def test_every_kind_of_event_has_a_check():
     """What the code may call an event is checked by its definition, and drawn."""
+    from orbitfinder.continuation.tests import index_levels
     from orbitfinder.families.entries import KINDS
-    from orbitfinder.families.passages import index_levels
     from orbitfinder.show.diagram import LOOKS
 
     made = {kind for root in (1, 2) for _, kind, *_ in index_levels(root, 6)}

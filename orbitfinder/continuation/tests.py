@@ -9,14 +9,19 @@ curve and their error bars, each by its own condition,
 and are matched from place to place by predictions: what two places predict of each other, and their vectors. An entry
 is a root, which crosses the boundary where it is 0, or the sum of two roots that is real, of a conjugate pair and of
 two real ones: their sum goes on smoothly where a pair splits. Multipliers are entered as their logarithms.
+
+Along a curve of bifurcations in two parameters a number vanishes that is smooth where roots meet: a product over all
+of them, the product of a pair, the squared distance of two stability indices. Source: Yu. A. Kuznetsov, Elements of
+Applied Bifurcation Theory (2004), chapters 9 and 10.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from math import inf
+from itertools import combinations
+from math import gcd, inf
 
 import numpy as np
 from scipy.linalg import eig
@@ -30,6 +35,8 @@ SIMPLE, DEEPEST, MOST = EPSILON, 24, 200
 ALTERNATIVE, DOUBT = 2.0, 4.0
 """A match that costs up to so many times as much counts as possible; a cubic is wrong by so many times what its parent
 misses the middle by"""
+REAL = 1e-9
+"""A product of two multipliers is real when its imaginary part is below this, relative to its size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,3 +184,66 @@ def _crossed(
     for values in (hull, np.diff(hull, axis=0)):  # away from 0, or rising or falling all the way
         sure |= (values.min(axis=0) > off) | (values.max(axis=0) < -off)
     return real & ((hull[0] > bars) != (hull[3] > others)), not (real & ~sure | partly).any()
+
+
+Level = tuple[float, str, str, int, complex]
+
+
+def index_levels(root: int, most: int) -> Iterator[Level]:
+    """(level of the index, kind, detail, order q, critical multiplier of the root map) of every bifurcation."""
+    yield 2.0, "branch_point", "", 1, 1.0 + 0.0j
+    if root == 1:
+        yield -2.0, "period_doubling", "", 2, -1.0 + 0.0j
+    else:
+        yield -2.0, "branch_point", "", 1, -1.0 + 0.0j
+        yield 0.0, "period_doubling", "", 2, 1.0j
+    for q in range(3, most + 1):
+        for k in range(1, q * root // 2 + 1):
+            if gcd(k, q) == 1:
+                angle = 2 * np.pi * k / (q * root)
+                yield 2 * float(np.cos(angle)), "resonance", f"q = {q}", q, complex(np.exp(1j * angle))
+
+
+def multiplier_levels(root: int) -> list[Level]:
+    """The same of real multipliers, where they are in no pairs."""
+    pairs = index_levels(root, 2)
+    return [(level / 2, kind, detail, q, mu) for level, kind, detail, q, mu in pairs if abs(level) == 2.0]
+
+
+def levelled(roots: np.ndarray, level: float) -> float:
+    """prod (level - r_i) over roots, each by its size, which is 0 where one of them is there."""
+    return float(np.prod((level - roots) / np.hypot(1.0, np.abs(roots))).real)
+
+
+def doubled(roots: np.ndarray, level: float) -> float:
+    """The derivative of that product by the level, which is 0 too where two of the roots are there."""
+    sizes = np.hypot(1.0, np.abs(roots))
+    parts = (level - roots) / sizes
+    return float(sum(np.prod(np.delete(parts, k)) / sizes[k] for k in range(roots.size)).real)
+
+
+def unit_pair(roots: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Product and sum of the two multipliers whose product is real and nearest to 1, and the others.
+
+    They are conjugate on the unit circle, or real, of a neutral saddle.
+    """
+    numbers = combinations(range(roots.size), 2)
+    pairs = [(np.prod(roots[[*pair]]), np.sum(roots[[*pair]]), np.delete(roots, pair)) for pair in numbers]
+    real = [each for each in pairs if abs(each[0].imag) <= REAL * (1 + abs(each[0]))]
+    if not real:
+        raise ConvergenceError("no two multipliers are left that could leave the unit circle together")
+    product, total, others = min(real, key=lambda each: abs(each[0] - 1.0))
+    return float(product.real), float(total.real), others
+
+
+def discriminant(indices: np.ndarray) -> float:
+    """(kappa_i - kappa_j)^2 of the two nearest stability indices."""
+    first, other = nearest_pair(indices)
+    return float(((first - other) ** 2).real)
+
+
+def nearest_pair(indices: np.ndarray) -> tuple[complex, complex]:
+    """The two stability indices that are nearest to each other."""
+    if indices.size < 2:
+        raise ConvergenceError("no two stability indices are left that could meet")
+    return min(combinations(map(complex, indices), 2), key=lambda pair: abs(pair[0] - pair[1]))

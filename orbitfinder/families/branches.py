@@ -21,7 +21,7 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError
 from orbitfinder.families.birth import cycle_start, mode_start
-from orbitfinder.families.critical import Critical
+from orbitfinder.families.codimension_two import Critical
 from orbitfinder.families.entries import SWITCHABLE
 from orbitfinder.families.equilibria import rest_branch
 from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, RestEvent, load_equilibria

@@ -19,13 +19,12 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import check
 from orbitfinder._runtime.sizes import EPSILON, nonzero
+from orbitfinder.continuation.tests import discriminant, index_levels, levelled, multiplier_levels, unit_pair
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.changes import margins_called
-from orbitfinder.families.codimension_two import is_centre
-from orbitfinder.families.critical import Critical, discriminant, levelled, torus_pair
+from orbitfinder.families.codimension_two import Critical, is_centre
 from orbitfinder.families.doubling import bending, born
 from orbitfinder.families.motion import parameters_at
-from orbitfinder.families.passages import index_levels, multiplier_levels
 from orbitfinder.families.point import extents, freed, parameter_value, shift_at
 from orbitfinder.families.registry import KINDS
 from orbitfinder.integrate.dop853 import TIGHTEST, ReferenceSettings
@@ -93,7 +92,7 @@ class MapRoots:
     @property
     def pair(self) -> tuple[float, float]:
         """Product and sum of the two that leave the unit circle together; nan where none do."""
-        return torus_pair(self.roots)[:2]
+        return unit_pair(self.roots)[:2]
 
     @property
     def others(self) -> Sequence[Measure]:

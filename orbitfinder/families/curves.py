@@ -1,7 +1,7 @@
 """Curves of bifurcations: an event of a family followed while two parameters vary.
 
 Its orbits keep the family's equations, with one parameter more free and one row more, a test function of the
-multipliers (`critical.Critical`); they are followed, journalled and certified as those of any family.
+multipliers (`codimension_two.Critical`); they are followed, journalled and certified as those of any family.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.families.branches import Branch, described, opened, with_nodes
-from orbitfinder.families.critical import Critical
+from orbitfinder.families.codimension_two import Critical
 from orbitfinder.families.entries import FOLLOWED, KINDS
 from orbitfinder.families.equilibria import PACE
 from orbitfinder.families.equilibrium import EQUILIBRIA, Equilibria, Equilibrium, RestEvent, load_equilibria
@@ -112,10 +112,11 @@ def curve_start(
     names = both_parameters(base.equations.model, parameters)
     hold = _hold(base, family, chosen, names)
     curve, place = _released(base, chosen, names, hold)
-    sizes = np.linalg.svd(scaled(curve, at_place(curve, place))[0])[1]
+    solution = at_place(curve, place)
+    sizes = np.linalg.svd(scaled(curve, solution)[0])[1]
     test = Critical(chosen.kind, names, chosen.detail, chosen.order, chosen.multiplier)
     if margin := test.followed.margin:
-        test = replace(test, margin=margin(curve, at_place(curve, place), chosen))
+        test = replace(test, margin=margin(curve, solution, chosen))
     # a singular value of the equations below this, relative to the next, is a rank lost at a branch point
     curve = replace(curve, test=test, degenerate=bool(sizes[-1] < 1e-6 * sizes[-2]), watch=base.watch)
     if KINDS[test.kind].crosses and test.multiplier.real > 0 and not curve.degenerate:

@@ -9,11 +9,15 @@ from orbitfinder.families.changes import nearest_margin
 from orbitfinder.families.codimension_two import (
     along_circle,
     along_collisions,
+    at_level,
     beside_level,
     doublings_turn,
     folds_turn,
+    grazed,
+    indices_meet,
+    neutral,
+    pair_at_circle,
 )
-from orbitfinder.families.critical import at_level, grazed, indices_meet, neutral, pair_at_circle
 from orbitfinder.families.events import extrema
 from orbitfinder.families.registry import (
     FOLLOWED,

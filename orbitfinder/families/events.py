@@ -19,6 +19,7 @@ from itertools import pairwise
 import numpy as np
 
 from orbitfinder._runtime.sizes import EPSILON, nonzero
+from orbitfinder.continuation.tests import multiplier_levels
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.motion import noise, rises, watched
 from orbitfinder.families.passages import (
@@ -30,7 +31,6 @@ from orbitfinder.families.passages import (
     located,
     look,
     meeting,
-    multiplier_levels,
     passages,
     strips,
     zeros,

@@ -15,7 +15,7 @@ from orbitfinder._runtime import interrupt, limit, locks
 from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.families.branches import Branch
 from orbitfinder.families.changes import checked_cycle
-from orbitfinder.families.critical import Critical
+from orbitfinder.families.codimension_two import Critical
 from orbitfinder.families.follow import follow
 from orbitfinder.families.handover import handed_over
 from orbitfinder.families.members import batch_certified, certified

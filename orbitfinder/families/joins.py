@@ -16,7 +16,7 @@ import numpy as np
 from orbitfinder._runtime.sizes import nonzero
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.branches import symmetric
-from orbitfinder.families.critical import Critical
+from orbitfinder.families.codimension_two import Critical
 from orbitfinder.families.motion import interpolated
 from orbitfinder.families.point import freed, parameter_value
 from orbitfinder.families.rest import predicted

@@ -11,12 +11,12 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from math import gcd
 
 import numpy as np
 
 from orbitfinder._runtime.arguments import check
 from orbitfinder.continuation.follow import zero
+from orbitfinder.continuation.tests import index_levels
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.run import JUNCTION, Interval, Sample, ahead, is_real, real_indices
 from orbitfinder.families.stability import matching
@@ -61,30 +61,6 @@ def passage(level: float) -> Measure:
         return float((-1.0) ** below * np.abs(gaps).min())
 
     return measure
-
-
-Level = tuple[float, str, str, int, complex]
-
-
-def index_levels(root: int, most: int) -> Iterator[Level]:
-    """(level of the index, kind, detail, order q, critical multiplier of the root map) of every bifurcation."""
-    yield 2.0, "branch_point", "", 1, 1.0 + 0.0j
-    if root == 1:
-        yield -2.0, "period_doubling", "", 2, -1.0 + 0.0j
-    else:
-        yield -2.0, "branch_point", "", 1, -1.0 + 0.0j
-        yield 0.0, "period_doubling", "", 2, 1.0j
-    for q in range(3, most + 1):
-        for k in range(1, (q if root == 2 else q // 2) + 1):
-            if gcd(k, q) == 1 and k < q:
-                angle = 2 * np.pi * k / (q * root)
-                yield 2 * float(np.cos(angle)), "resonance", f"q = {q}", q, complex(np.exp(1j * angle))
-
-
-def multiplier_levels(root: int) -> tuple[Level, Level]:
-    """The same of real multipliers, where they are in no pairs."""
-    other = ("branch_point", "", 1) if root == 2 else ("period_doubling", "", 2)
-    return (1.0, "branch_point", "", 1, 1.0 + 0.0j), (-1.0, *other, -1.0 + 0.0j)
 
 
 def located(

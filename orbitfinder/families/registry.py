@@ -51,7 +51,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Followed:
-    """How a kind is followed while two parameters vary; `test` is the `critical.Critical` of its curve.
+    """How a kind is followed while two parameters vary; `test` is the `codimension_two.Critical` of its curve.
 
     `vanishes(test, curve, orbits)`, a number of each, is 0 along the curve. Of codimension two are there the zeros of
     `tests(test, spectrum)`, and what is `special(interval)` besides, with its orbit. `margin(curve, orbit, event)`

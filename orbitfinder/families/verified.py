@@ -17,9 +17,10 @@ from scipy.optimize import linear_sum_assignment
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.arguments import check
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.continuation.tests import levelled
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.families.checks import ALIKE, Probe, Refuted, Sides, check_known
-from orbitfinder.families.critical import Critical, levelled
+from orbitfinder.families.codimension_two import Critical
 from orbitfinder.families.ends import (
     MEETING,
     SHRINKING,

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero
+from orbitfinder.continuation.tests import index_levels
 from orbitfinder.errors import InputError, plural
-from orbitfinder.families.passages import index_levels
 from orbitfinder.loops.symmetry import named
 from orbitfinder.mechanics.kind import build_model
 from orbitfinder.mechanics.model import Model
