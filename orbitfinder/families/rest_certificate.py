@@ -26,13 +26,12 @@ from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.certificate import Certificate, at_most, equal
 
-NOISE, DIFFERED = 1e-14, 1e-9
-"""Components so small are 0; what slopes by differences are known to"""
+NOISE, DIFFERENCE, DIFFERED = 1e-14, 2e-3, 1e-9
+"""Components so small are 0; half of the widest of the differences that check slopes, in the sizes of the state, and
+what slopes by them are known to"""
 RESIDUAL, SLOPES, CRITICAL = 1e-12, 1e-7, 1e-8
 """What may be left of the rates, of the eigenvalues by differences and of a critical one by the flow, in the pace of
 the equilibrium and its sizes"""
-DIFFERENCE = 2e-3
-"""Half of the widest of the differences that check slopes, in the sizes of the state"""
 STEPS, WEIGHTS = np.array([-3, -2, -1, 1, 2, 3]) / 3.0, np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 20.0
 """Of the sixth order, in `DIFFERENCE`s"""
 

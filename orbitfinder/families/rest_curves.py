@@ -23,7 +23,7 @@ from typing import Any, Self
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero, size_of
-from orbitfinder.continuation.follow import KeptPoint, SolutionCurve, Test, Tests, advanced, towards
+from orbitfinder.continuation.follow import Goals, KeptPoint, Test, Tests, advanced, towards
 from orbitfinder.continuation.problem import Point, solved
 from orbitfinder.continuation.tests import Entries, Roots
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
@@ -220,17 +220,15 @@ def _judged(judge: Judge, least: float, each: Equilibrium | RestEvent, sizes: np
     return np.array([*left, max(flows)])
 
 
-@dataclass(frozen=True, eq=False)
-class _Track(rest.Way):
-    """Along a curve from the event that it is of."""
+@dataclass(eq=False)
+class _AlongCurve(rest.RestDirection):
+    """A direction along a curve from the event that it is of."""
+
+    tangent: np.ndarray
 
     def begin(self) -> Point:
-        assert self.direction is not None
-        point = Point(self.problem, Stacked(self.rest), self.direction)
-        return replace(point, tangent=self.direction * self.sign * towards(point, self.parameter, self.until))
-
-    def leads(self, point: Point) -> bool:
-        return self.until is None or towards(point, self.parameter, self.until) > 0
+        point = Point(self.problem, Stacked(self.rest), self.tangent)
+        return replace(point, tangent=self.tangent * self.sign * towards(point, self.goals.name, self.goals.until))
 
     def tests(self) -> Tests:
         form = self.problem.form
@@ -267,7 +265,7 @@ class _Track(rest.Way):
         point = Point(problem, Stacked(w), tangent, float(entry["arclength"]), float(entry["step"]))
         return point, self.record(point)
 
-    def special(self, run: SolutionCurve, kept: KeptPoint, index: int) -> RestEvent | None:  # noqa: ARG002
+    def special(self, kept: KeptPoint, index: int) -> RestEvent | None:
         """None where a test jumps, too."""
         point, test = kept.point.sharp, TESTS[kept.point.problem.form][kept.role]
         try:
@@ -323,12 +321,11 @@ def follow_rest_curve(
     form, slowest = start.problem.form, start.problem.pace
     curve = {"test": {"kind": form, "detail": ""}, "form": form, "parameters": names, "pace": slowest, "fixed": fixed}
     judge, label = Judge(model, names), name or f"{equilibria.name}-{number}-{'-'.join(names)}"
-    first = start.problem, start.w.vector, start.tangent
-    ways = [_Track(judge, until, sign, *first) for sign in (1.0, -1.0)[: 1 + (until is None)]]
     request = {"system": dict(model.system), "start": start.w.vector, "curve": curve, "way": 0, "until":
                until is not None}  # fmt: skip
-    pace = replace(rest.PACE, points=points, located=KNOWN)
-    return rest.gone(ways, (label, equilibria.title), request, at, pace, out, progress, curve)
+    goals, pace = Goals(names[0], until, tuple(map(float, at))), replace(rest.PACE, points=points, located=KNOWN)
+    first = _AlongCurve(goals, 1.0, request, judge, start.problem, start.w.vector, None, start.tangent)
+    return rest.gone(first, until is None, (label, equilibria.title), pace, out, progress, curve)
 
 
 def _chosen(equilibria: Equilibria, event: int | RestEvent) -> tuple[int, RestEvent]:
