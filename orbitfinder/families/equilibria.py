@@ -31,10 +31,12 @@ from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.continuation.tests import Entries, Roots
 from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
-from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, Judge
 from orbitfinder.families.rest_problem import (
+    CRITICAL,
+    RESIDUAL,
     ROUND_OFF,
     AtRest,
+    Judge,
     Stacked,
     error_bars,
     first_lyapunov,
