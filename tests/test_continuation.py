@@ -13,9 +13,9 @@ from scipy.optimize import brentq
 
 from orbitfinder.continuation.follow import (
     CurveJournal,
+    Direction,
     Goals,
     Pace,
-    SolutionCurve,
     follow,
     reached,
     rise,
@@ -109,11 +109,18 @@ class Plain:
         return w
 
 
-class Numbers:
-    """Points of a problem of plain numbers, whose record is w."""
+class Numbers(Direction):
+    """Along a problem of plain numbers from its start; the record of a point is w."""
 
-    def __init__(self, problem):
-        self.problem, self.solves = problem, 0
+    def __init__(self, start, goals):
+        super().__init__(goals, 1.0, {"w": start[1]})
+        self.start, self.problem, self.solves = start, start[0], 0
+
+    def begin(self):
+        return begun(*self.start)
+
+    def tests(self):
+        return {"fold": lambda point: rise(point, self.goals.name)}
 
     def record(self, point):
         self.solves += 1
@@ -169,21 +176,16 @@ def begun(problem, w, direction):
     return replace(point, tangent=sense * point.tangent)
 
 
-def whole(start, goals, pace=PACE, path=None, keeping=None):
-    """The curve to its end, and how it was kept."""
-    problem, w, direction = start
-    keeping = keeping or Numbers(problem)
-    tests = {"fold": lambda point: rise(point, goals.name)}
-    trace = CurveJournal(keeping, path, {"w": w})
-    curve = SolutionCurve()
-    points = list(follow(curve, trace, lambda: begun(problem, w, direction), goals, pace, tests))
-    assert points == curve.points
-    return curve, keeping
+def whole(start, goals, pace=PACE, path=None):
+    """The curve to its end."""
+    curve = Numbers(start, goals)
+    assert list(follow(curve, pace, path)) == curve.points
+    return curve
 
 
 def test_round_a_circle():
     """Folds, and exact values on both sides of them, again and again."""
-    curve, _ = whole(circle(), Goals("p", at=(0.5, -0.5)))
+    curve = whole(circle(), Goals("p", at=(0.5, -0.5)))
     assert curve.end.kind == "point limit" and len([one for one in curve.points if one.role == "step"]) == 40
     folds = np.array([one.record for one in curve.events])
     assert len(folds) >= 2 and np.allclose(folds[:, 0], np.where(np.arange(len(folds)) % 2, -1.0, 1.0), atol=1e-12)
@@ -197,7 +199,7 @@ def test_a_boundary_value_problem_round_its_fold():
     """u = 2 ln(cosh a / cosh(a (1 - 2 x))), p = 8 (a / cosh a)^2: what differences miss falls with h^2."""
     missed = []
     for count in (39, 79):
-        curve, _ = whole(bratu(count), Goals("p", at=(1.0,)), Pace(first=0.5, longest=3.0, points=30))
+        curve = whole(bratu(count), Goals("p", at=(1.0,)), Pace(first=0.5, longest=3.0, points=30))
         (fold,) = curve.events
         upper = [one.record for one in curve.points if one.role == "at"][-1]
         a = brentq(lambda a: 8 * (a / np.cosh(a)) ** 2 - 1.0, 1.3, 5.0)
@@ -208,7 +210,7 @@ def test_a_boundary_value_problem_round_its_fold():
 
 def test_a_cycle_of_a_map_is_born_at_its_fold():
     """Of period three, of x -> p x (1 - x), at p = 1 + sqrt(8), stable on one side and not on the other."""
-    curve, _ = whole(logistic(), Goals("p", at=(3.83,)), Pace(first=0.001, longest=0.01, points=40))
+    curve = whole(logistic(), Goals("p", at=(3.83,)), Pace(first=0.001, longest=0.01, points=40))
     assert [one.record[1] for one in curve.events] == pytest.approx([1 + np.sqrt(8)], abs=1e-12)
     exact = [one.record[0] for one in curve.points if one.role == "at"]
     assert len(exact) == 2 and abs(exact[0] - exact[1]) > 1e-3
@@ -221,17 +223,17 @@ def test_cut_anywhere_it_ends_as_if_it_had_not_been(start, lines, tmp_path):
     path, name = tmp_path / "curve.jsonl", "p"
     pace = Pace(first=0.01, longest=0.5, points=14)
     values = (0.1, 0.3, 3.83)
-    before, all_solved = whole(start(), Goals(name, at=values), pace, path)
+    before = whole(start(), Goals(name, at=values), pace, path)
     text = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(text[:lines]) + text[min(lines, len(text) - 1)][:40])
-    after, keeping = whole(start(), Goals(name, at=values), pace, path)
+    after = whole(start(), Goals(name, at=values), pace, path)
     assert [one.record.tolist() for one in after.points] == [one.record.tolist() for one in before.points]
     assert [one.role for one in after.points] == [one.role for one in before.points] and after.end == before.end
     known = sum(
         len(entry["at"]) + len(entry["events"]) + (entry["step"] is not None)
         for entry in map(json.loads, text[1:lines])
     )
-    assert keeping.solves == all_solved.solves - known
+    assert after.solves == before.solves - known
     assert path.read_bytes().splitlines() == b"".join(text).splitlines()
 
 
@@ -242,13 +244,13 @@ def test_more_is_asked_for(tmp_path):
     for goals, points in ((Goals("p", until=0.5, at=(0.2,)), 30), (Goals("p", until=-0.5, at=(0.3, 0.9)), 30),
                           (Goals("p", at=(0.9,)), 12), (Goals("p", until=0.1), 40)):  # fmt: skip
         pace = Pace(first=0.1, longest=0.3, points=points)
-        kept, keeping = whole(circle(), goals, pace, path)
-        fresh, _ = whole(circle(), goals, pace)
+        kept = whole(circle(), goals, pace, path)
+        fresh = whole(circle(), goals, pace)
         assert [one.role for one in kept.points] == [one.role for one in fresh.points] and kept.end == fresh.end
         a, b = (np.array([one.record for one in each.points]) for each in (kept, fresh))
         assert np.allclose(a, b, atol=1e-12) and len(kept.events) == len(fresh.events)
-        assert whole(circle(), goals, pace, path)[1].solves == 0
-    assert keeping.solves == 1
+        assert whole(circle(), goals, pace, path).solves == 0
+    assert kept.solves == 1
 
 
 def test_a_curve_that_ends(tmp_path):
@@ -264,7 +266,7 @@ def test_a_curve_that_ends(tmp_path):
     with np.errstate(all="ignore"):
         for at in ((), (), (0.5,), (0.5,)):
             calls.clear()
-            curve, _ = whole(start, Goals("p", at=at), Pace(points=400), tmp_path / "root.jsonl")
+            curve = whole(start, Goals("p", at=at), Pace(points=400), tmp_path / "root.jsonl")
             tries.append(len(calls))
             assert curve.end.kind == "step underflow" and 0 < curve.points[-1].record[0] < 0.01
             assert [one.record[0] for one in curve.points if one.role == "at"] == pytest.approx([0.25] * len(at))
@@ -288,11 +290,13 @@ def test_another_request_leaves_what_is_there(tmp_path):
     before = path.read_bytes()
     with pytest.raises(InputError, match=r"curve.jsonl: w\.0: 0.02 there, 0.04 asked for; .*give another folder"):
         whole((problem, w + 0.02, direction), Goals("p"), Pace(points=5), path)
+    elsewhere = Numbers(circle(), Goals("p"))
+    elsewhere.leads = lambda first: False
     with pytest.raises(InputError, match=r"curve.jsonl: until: the other way there, this way asked for"):
-        CurveJournal(Numbers(problem), path, {"w": w}, lambda first: False)
+        CurveJournal(elsewhere, path)
     assert path.read_bytes() == before
     begin_journal(path, header_of({"w": "nothing came of it"}))
-    assert whole(circle(), Goals("p"), Pace(points=5), path)[1].solves == 5
+    assert whole(circle(), Goals("p"), Pace(points=5), path).solves == 5
 
 
 def test_which_way_leads_there():

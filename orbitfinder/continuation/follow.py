@@ -14,7 +14,8 @@ asked for stays there and is left out.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import pairwise
@@ -30,6 +31,7 @@ from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.continuation.tests import Crossing, Entries, Roots, crossings
 from orbitfinder.errors import UNSOLVED, ConvergenceError, DomainError, plural
 from orbitfinder.records.codec import plain
+from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import End
 from orbitfinder.records.journal import append_line, known_lines, refuse_other
 from orbitfinder.records.reading import Table, typed
@@ -177,19 +179,6 @@ class Goals:
         return within[: within.index(self.until) + 1] if self.until in within else within
 
 
-class Keeping(Protocol):
-    """How points of a problem are recorded, written and read."""
-
-    def record(self, point: Point) -> Any:
-        """What is kept of a point, certified."""
-
-    def write(self, point: Point, record: Any) -> Table:
-        """Both in plain numbers."""
-
-    def read(self, entry: Table) -> tuple[Point, Any]:
-        """Both from what was written."""
-
-
 @dataclass(frozen=True, eq=False)
 class KeptPoint:
     """A point with its role ("step", "at", "end") or its event's name, and its record."""
@@ -204,12 +193,60 @@ AtValue = tuple[float, KeptPoint]
 
 
 @dataclass(eq=False)
-class SolutionCurve:
-    """What there is of a curve in the order of its steps, and why it ends."""
+class Direction(ABC):
+    """One direction along a curve of a continuation problem, in the order of its steps as far as it is followed.
 
-    points: list[KeptPoint] = field(default_factory=list)
-    events: list[KeptPoint] = field(default_factory=list)
-    end: End | None = None
+    Args:
+        goals: what it is followed in, where it ends, and the values at which points are wanted.
+        sign: 1 or -1, of arclengths along the curve that way.
+        request: what decides whether a journal is of it (plain numbers).
+    """
+
+    goals: Goals
+    sign: float
+    request: Mapping[str, Any]
+    points: list[KeptPoint] = field(default_factory=list, init=False)
+    events: list[KeptPoint] = field(default_factory=list, init=False)
+    end: End | None = field(default=None, init=False)
+
+    @abstractmethod
+    def begin(self) -> Point:
+        """The first point, its tangent this way."""
+
+    def leads(self, first: Point) -> bool:  # noqa: ARG002 - for those that may not
+        """Whether a journal's first point leads this way."""
+        return True
+
+    def tests(self) -> Tests:
+        """The events that are asked for, by name."""
+        return {}
+
+    def spectrum(self, point: Point) -> Roots:
+        """The roots of a point, of whose entries some tests are."""
+        raise NotImplementedError
+
+    @abstractmethod
+    def record(self, point: Point) -> Any:
+        """What is kept of a point, certified."""
+
+    @abstractmethod
+    def write(self, point: Point, record: Any) -> Table:
+        """Both in plain numbers."""
+
+    @abstractmethod
+    def read(self, entry: Table) -> tuple[Point, Any]:
+        """Both from what was written."""
+
+
+D = TypeVar("D", bound=Direction)
+
+
+def in_turn(directions: Iterable[D], path: Path | None) -> Iterator[tuple[D, Path | None]]:
+    """One direction of a curve after another until it is closed, each with its journal, beside that of the first."""
+    for k, direction in enumerate(directions):
+        yield direction, path and path.with_stem(f"{path.stem}{k or ''}")
+        if direction.end and end_kind(direction.end.kind).closed:
+            return
 
 
 def towards(point: Point, name: str, value: float | None) -> float:
@@ -314,39 +351,34 @@ class _Line:
 
 
 class CurveJournal:
-    """A curve as far as it is known, by an earlier run and this one; with a path it is a journal there.
+    """A direction as far as it is known, by an earlier run and this one; with a path it is a journal there.
 
-    `request` is what decides whether a journal is of this curve (plain numbers). Raises `InputError` for a journal that
-    cannot be read, is of another curve, or whose first point `leads` elsewhere.
+    Raises `InputError` for a journal that cannot be read, is of another curve, or whose first point leads elsewhere.
     """
 
-    def __init__(
-        self, keeping: Keeping, path: Path | None = None, request: Mapping[str, Any] | None = None,
-        leads: Callable[[Point], bool] = lambda first: True,
-    ) -> None:  # fmt: skip
-        self.keeping, self.path = keeping, path
+    def __init__(self, direction: Direction, path: Path | None = None) -> None:
+        self.direction, self.path = direction, path
         self.steps: list[KeptPoint] = []
         self.events: list[list[KeptPoint]] = []
         self.at: list[AtValue] = []
         self.end: End | None = None
         if path is None:
             return
-        wanted = plain(request or {})
-        known_lines(path, wanted, self._read)
-        if self.steps and not leads(self.steps[0].point):
+        known_lines(path, plain(direction.request), self._read)
+        if self.steps and not direction.leads(self.steps[0].point):
             refuse_other(path, {"until": "the other way"}, {"until": "this way"})
 
     def _read(self, entries: Table) -> None:
         line: _Line = typed(_Line, entries, "")
-        self.at += [(value, KeptPoint("at", *self.keeping.read(entry))) for value, entry in line.at]
+        self.at += [(value, KeptPoint("at", *self.direction.read(entry))) for value, entry in line.at]
         self.end = line.end
         if line.step is not None:
-            self.events.append([KeptPoint(name, *self.keeping.read(entry)) for name, entry in line.events])
-            self.steps.append(KeptPoint("step", *self.keeping.read(line.step)))
+            self.events.append([KeptPoint(name, *self.direction.read(entry)) for name, entry in line.events])
+            self.steps.append(KeptPoint("step", *self.direction.read(line.step)))
 
     def kept(self, role: str, point: Point) -> KeptPoint:
         """A point with its record."""
-        return KeptPoint(role, point, self.keeping.record(point))
+        return KeptPoint(role, point, self.direction.record(point))
 
     def add(
         self, step: KeptPoint | None = None, events: Sequence[KeptPoint] = (), at: Sequence[AtValue] = (),
@@ -368,7 +400,7 @@ class CurveJournal:
         return line
 
     def _entry(self, point: KeptPoint) -> Table:
-        return self.keeping.write(point.point, point.record)
+        return self.direction.write(point.point, point.record)
 
     def exactly(self, before: Point, after: Point, goals: Goals) -> tuple[list[KeptPoint], list[AtValue]]:
         """The points at values between two, and those among them that were not known before."""
@@ -383,19 +415,15 @@ class CurveJournal:
         return points, fresh
 
 
-def follow(
-    curve: SolutionCurve, trace: CurveJournal, begin: Callable[[], Point], goals: Goals, pace: Pace,
-    tests: Tests | None = None, spectrum: Callable[[Point], Roots] | None = None,
-) -> Iterator[KeptPoint]:  # fmt: skip
-    """The points of a curve from where it begins until it ends; the curve grows by a step before its points come.
-
-    `tests` are events by name, `spectrum` the roots of a point. What `begin` raises is raised.
-    """
+def follow(curve: Direction, pace: Pace, path: Path | None = None) -> Iterator[KeptPoint]:
+    """The points of a curve from where it begins until it ends, with a path kept in a journal there; the curve grows by
+    a step before its points come. What its `begin` raises is raised."""
+    goals, trace, tests = curve.goals, CurveJournal(curve, path), curve.tests()
     if not trace.steps:
-        trace.add(trace.kept("step", begin()))
+        trace.add(trace.kept("step", curve.begin()))
     curve.points.append(trace.steps[0])
     yield trace.steps[0]
-    ahead = walked(_Arclength(trace, goals, pace, tests or {}, spectrum), pace.points)
+    ahead = walked(_Arclength(trace, goals, pace, tests, curve.spectrum), pace.points)
     for index in range(1, pace.points):
         if index == len(trace.steps) and trace.end is None:
             next(ahead)
@@ -432,7 +460,7 @@ class _Arclength:
     goals: Goals
     pace: Pace
     tests: Tests
-    spectrum: Callable[[Point], Roots] | None = None
+    spectrum: Callable[[Point], Roots]
     last: dict[str, float] = field(default_factory=dict)
     """of each test, at the point where it stands"""
 
@@ -504,7 +532,6 @@ class _Arclength:
 
     def _crossed(self, before: Point, after: Point, kinds: Mapping[Entries, str]) -> list[KeptPoint]:
         """Where entries of the spectrum vanish within a step, by its length along its first tangent."""
-        assert self.spectrum is not None
         spectrum, start, length, events = self.spectrum, before.arclength, after.arclength - before.arclength, []
 
         def roots(point: Point) -> Roots:

@@ -21,16 +21,16 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import interrupt, locks
-from orbitfinder._runtime.keeping import STOPPED
 from orbitfinder._runtime.sizes import EPSILON
 from orbitfinder.continuation.follow import (
-    CurveJournal,
+    Direction,
     Goals,
     KeptPoint,
     Pace,
-    SolutionCurve,
+    Tests,
     advanced,
     follow,
+    in_turn,
     rise,
     towards,
 )
@@ -125,16 +125,18 @@ def followed(
     )
     start, wanted = first.value(parameter), tuple(map(float, at))
     ways = directions(start, settings, (until, wanted))
-    runs = [_Direction(own, float(sign), Goals(parameter, goal, wanted), first) for sign, goal, _ in ways]
+    runs = [
+        _BalanceDirection(
+            Goals(parameter, goal, wanted), float(sign),
+            {**asked[0], "method": NAME, "way": [float(sign), goal is None]}, own, first,
+        )
+        for sign, goal, _ in ways
+    ]  # fmt: skip
     if not runs:
         raise InputError(f"until, at: {parameter} begins at {start!r} and none of these lies beyond; give other values")
     with locks.alone_in(folder):
-        for k, run in enumerate(runs):
-            path = folder and folder / f"balance{k or ''}.jsonl"
-            request = {**asked[0], "method": NAME, "way": [run.sign, run.goals.until is None]}
-            run.walk(CurveJournal(run, path, request), progress)
-            if end_kind(run.end.kind).closed:
-                break
+        for run, path in in_turn(runs, folder and folder / "balance.jsonl"):
+            run.walk(path, progress)
         family = _assembled(own, runs, asked[1])
         if folder is not None:
             save_family(family, folder)
@@ -161,7 +163,7 @@ class _Marched:
         self._samples.clear()
         self.entry = entry_of(self.curve) | {"method": NAME}
 
-    def tests(self) -> Mapping[str, Callable[[Point], float]]:
+    def tests(self) -> Tests:
         return {}
 
     def _place(self, point: Point) -> Any:
@@ -238,7 +240,7 @@ class _Large:
         self.entry: dict[str, Any] = {"method": NAME, "winding": still}
         self.entry |= {"cycles": problem.forcing_cycles} if problem.model.forced else {}
 
-    def tests(self) -> Mapping[str, Callable[[Point], float]]:
+    def tests(self) -> Tests:
         if not self.settings.events:
             return {}
         return {"fold": partial(rise, name=self.parameter), "change": changing, "real": partial(changing, real=True)}
@@ -472,32 +474,30 @@ def changing(point: Point, real: bool = False) -> float:
 
 
 @dataclass(eq=False)
-class _Direction:
-    """One direction from the first point."""
+class _BalanceDirection(Direction):
+    """A direction from the first point, and the events on the way."""
 
-    own: Any
-    sign: float
-    goals: Goals
+    own: _Marched | _Large
     first: Point
-    points: list[KeptPoint] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)
-    end: End = field(default_factory=lambda: End(STOPPED, "stopped"))
+    located: list[Event] = field(default_factory=list)
 
     def begin(self) -> Point:
         s = self.own.settings
         side = self.sign * towards(self.first, s.parameter, None)
         return replace(self.first, tangent=side * self.first.tangent, step=s.first_step)
 
-    def walk(self, journal: CurveJournal, progress: Callable[[Batch], None] | None) -> None:
+    def tests(self) -> Tests:
+        return self.own.tests()
+
+    def walk(self, path: Path | None, progress: Callable[[Batch], None] | None) -> None:
         """Until it ends."""
-        s, curve = self.own.settings, SolutionCurve()
+        s, before = self.own.settings, None
         pace = Pace(first=s.first_step, shortest=s.shortest_step, longest=s.longest_step, quick=6, slow=12,
                     points=s.points, bend=float(np.cos(s.sharpest_turn)), closed=True)  # fmt: skip
-        for kept in follow(curve, journal, self.begin, self.goals, pace, self.own.tests()):
+        for k, kept in enumerate(follow(self, pace, path)):
             events = list[Event]()
-            if self.points:
-                before = self.points[-1]
-                seen = [e for e in curve.events if before.point.arclength < e.point.arclength <= kept.point.arclength]
+            if before:
+                seen = [e for e in self.events if before.point.arclength < e.point.arclength <= kept.point.arclength]
                 try:
                     events = self.own.events(before, kept, seen)
                 except UNSOLVED as error:  # costs these events, not the family
@@ -506,16 +506,15 @@ class _Direction:
                     logging.getLogger(__name__).warning(said)
                     self.own.undecided += (said,)
                 before.point.w.known.clear()  # factors of matrices, megabytes each
-            self.points.append(kept)
-            self.events += [replace(event, arclength=self.sign * event.arclength) for event in events]
+            events = [replace(event, arclength=self.sign * event.arclength) for event in events]
+            self.located += events
             if progress:
-                new = tuple(self.events[len(self.events) - len(events) :])
-                progress(Batch(int(self.sign), (self._placed(kept),), new))
+                progress(Batch(int(self.sign), (self._placed(kept),), tuple(events)))
             free, sizes = not self.first.problem.equations.names, (self.first.problem.sizes, kept.point.problem.sizes)
             if free and sizes[1].max() < VANISHED * sizes[0].max():
-                self.end = End("equilibrium", "the motion comes to rest")
+                self.points, self.end = self.points[: k + 1], End("equilibrium", "the motion comes to rest")
                 return
-        self.end = curve.end or self.end
+            before = kept
 
     def _placed(self, kept: KeptPoint) -> FamilyPoint:
         record: FamilyPoint = kept.record
@@ -527,9 +526,7 @@ class _Direction:
         return own[::-1] if self.sign < 0 else own
 
     def record(self, point: Point) -> FamilyPoint:
-        """Its orbit."""
-        record: FamilyPoint = self.own.point(point, index=0, arclength=point.arclength, step=point.step)
-        return record
+        return self.own.point(point, index=0, arclength=point.arclength, step=point.step)
 
     def write(self, point: Point, record: FamilyPoint) -> Mapping[str, Any]:
         """Both in plain numbers, but for the states that the series tells."""
@@ -549,7 +546,7 @@ class _Direction:
         return point, record
 
 
-def _assembled(own: Any, runs: Sequence[_Direction], source: Mapping[str, Any]) -> Family:
+def _assembled(own: _Marched | _Large, runs: Sequence[_BalanceDirection], source: Mapping[str, Any]) -> Family:
     walked = [run for run in reversed(runs) if run.points]
     points = list[FamilyPoint]()
     for run in walked:
@@ -566,7 +563,7 @@ def _assembled(own: Any, runs: Sequence[_Direction], source: Mapping[str, Any]) 
     system, entry = dict(own.problem.model.system), own.entry
     points = [situated(point, k, own.name, system, entry) for k, point in enumerate(points)]
     lengths = [point.arclength for point in points]
-    events = sorted((reverted(event) for run in walked for event in run.events), key=attrgetter("arclength"))
+    events = sorted((reverted(event) for run in walked for event in run.located), key=attrgetter("arclength"))
     events = [replace(event, index=int(np.searchsorted(lengths, event.arclength)) - 1) for event in events]
     return Family(own.name, system, own.settings.parameter, tuple(points), tuple(events),
-                  tuple(run.end for run in walked), entry, source, own.undecided)  # fmt: skip
+                  tuple(run.end for run in walked if run.end), entry, source, own.undecided)  # fmt: skip

@@ -16,14 +16,14 @@ from orbitfinder._runtime import locks
 from orbitfinder._runtime.keeping import STOPPED, finished
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.continuation.follow import (
-    CurveJournal,
+    Direction,
     Goals,
     KeptPoint,
     Pace,
-    SolutionCurve,
     Test,
     Tests,
     follow,
+    in_turn,
     rise,
     towards,
 )
@@ -31,10 +31,12 @@ from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.continuation.tests import Entries, Roots
 from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError
 from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
-from orbitfinder.families.rest_certificate import CRITICAL, RESIDUAL, Judge
 from orbitfinder.families.rest_problem import (
+    CRITICAL,
+    RESIDUAL,
     ROUND_OFF,
     AtRest,
+    Judge,
     Stacked,
     error_bars,
     first_lyapunov,
@@ -50,7 +52,6 @@ from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.jets import at_rest
 from orbitfinder.mechanics.kind import build_model, check_reachable, with_parameters
 from orbitfinder.mechanics.model import Model, check_state
-from orbitfinder.records.ends import end_kind
 from orbitfinder.records.family import End, Reading
 
 PACE = Pace(first=0.01, shortest=1e-9, longest=0.05, points=400, bend=0.95, quick=4, slow=7, located=1e-6, closed=True)
@@ -141,39 +142,36 @@ def follow_equilibria(
     judge = Judge(model, (parameter,))
     if branch is None:
         problem, rest = first_equilibrium(model, state, parameter, span)
-        ways = [Way(judge, until, sign, problem, rest) for sign in (1.0, -1.0)[: 1 + (until is None)]]
     else:
         reach = None if span is None else np.array([span])
         problem = regular(at_rest(model, (parameter,), state), state, np.array([start]), reach)
         rest = np.concatenate([state, np.zeros(problem.jets.extra)])
         problem = problem.seen(rest, np.array([start]), branch.largest)
-        ways = [Way(judge, until, sign, problem, rest, branch.direction) for sign in (1.0, -1.0)]
+    leaving = branch.direction if branch else None
     request = {"system": dict(model.system), "state": state, "parameter": parameter, "way": 0, "until":
-               until is not None, "direction": None if branch is None else branch.direction}  # fmt: skip
-    title = title or (branch.title if branch else "")
-    return gone(ways, (label, title), request, at, replace(pace, points=points), out, progress)
+               until is not None, "direction": leaving}  # fmt: skip
+    title, goals = title or (branch.title if branch else ""), Goals(parameter, until, tuple(map(float, at)))
+    first = RestDirection(goals, 1.0, request, judge, problem, rest, leaving)
+    both = until is None or leaving is not None
+    return gone(first, both, (label, title), replace(pace, points=points), out, progress)
 
 
 def gone(
-    ways: Sequence[Way], called: tuple[str, str], request: Mapping[str, Any], at: Sequence[float], pace: Pace,
-    out: str | Path | None, progress: Callable[[Equilibrium], None] | None, curve: Mapping[str, Any] | None = None,
+    first: RestDirection, both: bool, called: tuple[str, str], pace: Pace, out: str | Path | None,
+    progress: Callable[[Equilibrium], None] | None, curve: Mapping[str, Any] | None = None,
 ) -> Equilibria:  # fmt: skip
-    """What lies along one way after another until one closes, each kept in a journal of OUT/<name>; it is `called`
-    by name and title."""
-    goals, runs = Goals(ways[0].parameter, ways[0].until, tuple(map(float, at))), list[tuple[SolutionCurve, Way]]()
-    path = None if out is None else Path(out) / called[0]
-    record = partial(_record, called, curve or {}, runs)
-    with locks.alone_in(path):
-        for k, way in enumerate(ways):
-            runs.append((run := SolutionCurve(), way))
-            file = path and path / f"equilibria{k or ''}.jsonl"
-            journal = CurveJournal(way, file, {**request, "way": k}, way.leads)
-            for kept in follow(run, journal, way.begin, goals, pace, way.tests(), way.spectrum):
+    """What lies in a direction, and in the other where both are wanted, each kept in a journal of OUT/<name>; it is
+    `called` by name and title."""
+    path, begun = None if out is None else Path(out) / called[0] / "equilibria.jsonl", list[RestDirection]()
+    ways = [replace(first, sign=sign, request={**first.request, "way": k}) for k, sign in enumerate((1.0, -1.0))]
+    record = partial(_record, called, curve or {}, begun)
+    with locks.alone_in(path and path.parent):
+        for way, file in in_turn(ways[: 1 + both], path):
+            begun.append(way)
+            for kept in follow(way, pace, file):
                 finished(record)
                 if progress:
                     progress(kept.record)
-            if run.end and end_kind(run.end.kind).closed:
-                break
     return record()
 
 
@@ -188,37 +186,27 @@ def check_goals(
         raise InputError(f"until: {until!r} is where {parameter} begins; give another value")
 
 
-@dataclass(frozen=True, eq=False)
-class Way:
-    """One direction along a curve from its first point: how its points begin, are tested, recorded and kept."""
+@dataclass(eq=False)
+class RestDirection(Direction):
+    """A direction along equilibria, from an equilibrium or beside a branch point, where the others go in `leaving`."""
 
     judge: Judge
-    until: float | None
-    sign: float
     problem: AtRest
     rest: np.ndarray
-    direction: np.ndarray | None = None
-
-    @property
-    def parameter(self) -> str:
-        """What is followed in."""
-        return self.judge.parameters[0]
+    leaving: np.ndarray | None
 
     def begin(self) -> Point:
-        """The first point."""
-        if self.direction is not None:
-            return self._beside(self.direction)
-        start = float(self.problem.jets.model.values_of([self.parameter])[0])
-        w = Stacked(np.append(self.rest, start))
-        point = solved(self.problem, w, lambda w: self.problem.aim(w, self.parameter, start))
-        return replace(point, tangent=point.tangent * self.sign * towards(point, self.parameter, self.until))
+        """The first point, its tangent this way."""
+        name = self.goals.name
+        w = Stacked(np.append(self.rest, self.problem.jets.model.values_of([name])))
+        if self.leaving is not None:
+            return self._beside(w, self.leaving)
+        point = solved(self.problem, w, lambda there: self.problem.aim(there, name, w.vector[-1]))
+        return replace(point, tangent=point.tangent * self.sign * towards(point, name, self.goals.until))
 
-    def _beside(self, direction: np.ndarray) -> Point:
+    def _beside(self, w: Stacked, direction: np.ndarray) -> Point:
         """The first point of a branch, so far from where it leaves."""
-        d, w = (
-            self.problem.jets.size,
-            Stacked(np.append(self.rest, self.problem.jets.model.values_of([self.parameter]))),
-        )
+        d = self.problem.jets.size
         along = np.concatenate([direction[:d], np.zeros(self.problem.jets.extra), direction[d:]]) * self.sign
         along = along / np.sqrt(float(along @ (self.problem.metric(w) * along)))
         for length in LEAVING:
@@ -229,16 +217,17 @@ class Way:
                 continue
             outwards = float(np.sum(self.problem.metric(w) * point.tangent * (point.w.vector - w.vector)))
             return replace(point, tangent=point.tangent * np.sign(outwards), arclength=length)
-        raise ConvergenceError(f"no other equilibria were found beside the branch point at {self.parameter} = "
+        raise ConvergenceError(f"no other equilibria were found beside the branch point at {self.goals.name} = "
                                f"{w.vector[-1]:.9g}")  # fmt: skip
 
-    def leads(self, point: Point) -> bool:
-        """Whether a journal's first point leads there."""
-        return self.direction is not None or self.until is None or towards(point, self.parameter, self.until) > 0
+    def leads(self, first: Point) -> bool:
+        """Whether a journal's first point leads this way."""
+        name, until = self.goals.name, self.goals.until
+        return self.leaving is not None or until is None or towards(first, name, until) > 0
 
     def tests(self) -> Tests:
         """What vanishes at events."""
-        tests: dict[str, Test | Entries] = {"fold": lambda point: rise(point, self.parameter)}
+        tests: dict[str, Test | Entries] = {"fold": lambda point: rise(point, self.goals.name)}
         return tests | {"branch_point": Entries.ROOTS} | ({} if self.paired else {"hopf": Entries.SUMS})
 
     @cached_property
@@ -274,7 +263,7 @@ class Way:
         point = Point(problem, Stacked(w), tangent, *lengths, critical=critical)
         return point, self.record(point)
 
-    def special(self, run: SolutionCurve, kept: KeptPoint, index: int) -> RestEvent | None:
+    def special(self, kept: KeptPoint, index: int) -> RestEvent | None:
         """What is singular near a located point, solved for; None where it is nothing."""
         problem, length, critical = kept.point.problem, kept.point.arclength, kept.point.critical
         z, p, _ = problem.parts(kept.point.w)
@@ -301,8 +290,8 @@ class Way:
         d, w = problem.jets.size, Stacked(np.where(np.abs(w.vector) <= bars, 0.0, w.vector))  # 0 to its error bar
         z, p, _ = extended.parts(w)
         found = self.judge.record(problem, z, p, length * self.sign, spectrum(problem, Stacked(np.append(z, p))))
-        sides = [other.point for other in run.points if other.point.arclength < length][-1:]
-        sides += [other.point for other in run.points if other.point.arclength > length][:1]
+        sides = [other.point for other in self.points if other.point.arclength < length][-1:]
+        sides += [other.point for other in self.points if other.point.arclength > length][:1]
         secant = sides[-1].w.vector - sides[0].w.vector if len(sides) > 1 else kept.point.tangent
         name, claimed, known = _told(form, extended, w, bars, secant)
         flow = self.judge.flow(z[:d], float(p[0]), problem.z_sizes[:d], problem.pace, claimed)
@@ -369,19 +358,19 @@ def _other(problem: AtRest, z: np.ndarray, p: np.ndarray, tangent: np.ndarray) -
     return np.append(other[:d], other[z.size :])
 
 
-def _record(called: tuple[str, str], curve: Mapping[str, Any], runs: list[tuple[SolutionCurve, Way]]) -> Equilibria:
+def _record(called: tuple[str, str], curve: Mapping[str, Any], runs: list[RestDirection]) -> Equilibria:
     points: list[Equilibrium] = []
     events = []
-    for run, way in reversed(runs):
+    for run in reversed(runs):
         own = [kept.record for kept in run.points]
         both = bool(points and own) and points[-1].arclength == own[0].arclength  # begin with the same point
-        points = own[::-1] if way.sign < 0 else [*points[: len(points) - both], *own]
+        points = own[::-1] if run.sign < 0 else [*points[: len(points) - both], *own]
     lengths = [point.arclength for point in points]
-    for run, way in runs:
+    for run in runs:
         for kept in run.events:
-            index = max(int(np.searchsorted(lengths, kept.point.arclength * way.sign)) - 1, 0)
-            events += [event] if (event := way.special(run, kept, index)) else []
-    ends, judge = tuple(run.end or End(STOPPED, "stopped") for run, _ in reversed(runs)), runs[0][1].judge
+            index = max(int(np.searchsorted(lengths, kept.point.arclength * run.sign)) - 1, 0)
+            events += [event] if (event := run.special(kept, index)) else []
+    ends, judge = tuple(run.end or End(STOPPED, "stopped") for run in reversed(runs)), runs[0].judge
     system, parameter = dict(judge.model.system), judge.parameters[0]
     name, title = called
     return Equilibria(name, system, parameter, tuple(points), tuple(_apart(events)), ends, curve, title)

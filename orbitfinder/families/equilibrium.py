@@ -209,6 +209,12 @@ class Equilibria(Tabled):
                 raise ValueError(f"{where}: parameter, value or state is beyond 1e+100")
 
 
+def stability(values: np.ndarray, errors: np.ndarray) -> str:
+    """The verdict on eigenvalues with error bars: stable | unstable | neutral."""
+    real = values.real
+    return "unstable" if (real > errors).any() else "stable" if (real < -errors).all() else "neutral"
+
+
 def growing(point: Equilibrium) -> tuple[int, int]:
     """How many eigenvalues have positive real parts, at least and at most."""
     if point.stability == "stable":

@@ -23,21 +23,19 @@ from typing import Any, Self
 import numpy as np
 
 from orbitfinder._runtime.sizes import nonzero, size_of
-from orbitfinder.continuation.follow import KeptPoint, SolutionCurve, Test, Tests, advanced, towards
+from orbitfinder.continuation.follow import Goals, KeptPoint, Test, Tests, advanced, towards
 from orbitfinder.continuation.problem import Point, solved
 from orbitfinder.continuation.tests import Entries, Roots
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families import equilibria as rest
-from orbitfinder.families import rest_certificate as certificate
 from orbitfinder.families import rest_problem as equations
-from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent
-from orbitfinder.families.rest_certificate import Judge
-from orbitfinder.families.rest_problem import AtRest, Stacked
+from orbitfinder.families.equilibrium import Equilibria, Equilibrium, RestEvent, stability
+from orbitfinder.families.rest_problem import AtRest, Judge, Stacked
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.jets import Jets, at_rest
 from orbitfinder.mechanics.kind import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.certificate import Certificate, at_most, equal
+from orbitfinder.records.certificate import Certificate, Check, at_most, equal
 from orbitfinder.records.family import Reading
 
 FORMS, PAIRS = (
@@ -54,7 +52,7 @@ STILL, SIMPLE = 100 * equations.ROUND_OFF, 1e-9
 """A frequency squared, in the pace, that is not known from 0; <p, q> of a simple eigenvalue is larger"""
 VANISHED, SAME = 1e-6, 1e-5
 """What vanishes is this share of what it is elsewhere at most; how well coefficients are recomputed"""
-ALLOWED = np.array([certificate.RESIDUAL, certificate.SLOPES, certificate.CRITICAL])
+ALLOWED = np.array([equations.RESIDUAL, equations.SLOPES, equations.CRITICAL])
 """Of rates, eigenvalues, critical eigenvalues"""
 
 
@@ -214,23 +212,31 @@ def _consistent(kind: str, values: np.ndarray) -> bool:
 
 def _judged(judge: Judge, least: float, each: Equilibrium | RestEvent, sizes: np.ndarray) -> np.ndarray:
     """Of rates, eigenvalues and critical ones what is left, in a pace that is no less than given."""
-    pace = max(least, size_of(each.eigenvalues))
-    left = judge.left(each.state, each.values, sizes, pace, each.eigenvalues)
-    flows = [judge.flow(each.state, each.values, sizes, pace, claim) for claim in _claims(each.kind, each.eigenvalues)]
-    return np.array([*left, max(flows)])
+    pace, value, claims = _pace(least, each), each.values, list[complex]()
+    if value.size:
+        claims = _claims(each.kind, each.eigenvalues)
+    elif isinstance(each, RestEvent):
+        value, claims = np.array([each.parameter]), [each.critical]
+    else:
+        value = np.array([each.value])
+    left = judge.left(each.state, value, sizes, pace, each.eigenvalues)
+    flows = [judge.flow(each.state, value, sizes, pace, claim) for claim in claims]
+    return np.array([*left, max(flows, default=0.0)])
 
 
-@dataclass(frozen=True, eq=False)
-class _Track(rest.Way):
-    """Along a curve from the event that it is of."""
+def _pace(least: float, each: Equilibrium | RestEvent) -> float:
+    return max(least, float(np.abs(each.eigenvalues).max(initial=0.0))) or 1.0
+
+
+@dataclass(eq=False)
+class _AlongCurve(rest.RestDirection):
+    """A direction along a curve from the event that it is of."""
+
+    tangent: np.ndarray
 
     def begin(self) -> Point:
-        assert self.direction is not None
-        point = Point(self.problem, Stacked(self.rest), self.direction)
-        return replace(point, tangent=self.direction * self.sign * towards(point, self.parameter, self.until))
-
-    def leads(self, point: Point) -> bool:
-        return self.until is None or towards(point, self.parameter, self.until) > 0
+        point = Point(self.problem, Stacked(self.rest), self.tangent)
+        return replace(point, tangent=self.tangent * self.sign * towards(point, self.goals.name, self.goals.until))
 
     def tests(self) -> Tests:
         form = self.problem.form
@@ -248,7 +254,7 @@ class _Track(rest.Way):
         z, p, more = problem.parts(Stacked(np.where(np.abs(w.vector) <= left, 0.0, w.vector)))
         values, d, others = equations.spectrum(problem, w).values, problem.jets.size, _others(problem, w)
         kind = "neutral_saddle" if problem.form == "hopf" and more[-1] <= 0 else problem.form
-        verdict = certificate.stability(others.values, others.errors)
+        verdict = stability(others.values, others.errors)
         known = Equilibrium(
             z[:d], float(p[0]), values[np.lexsort((-values.imag, -values.real))], verdict, point.arclength * self.sign,
             kind=kind, values=p, normal_form=NORMAL[kind](problem, w),
@@ -267,7 +273,7 @@ class _Track(rest.Way):
         point = Point(problem, Stacked(w), tangent, float(entry["arclength"]), float(entry["step"]))
         return point, self.record(point)
 
-    def special(self, run: SolutionCurve, kept: KeptPoint, index: int) -> RestEvent | None:  # noqa: ARG002
+    def special(self, kept: KeptPoint, index: int) -> RestEvent | None:
         """None where a test jumps, too."""
         point, test = kept.point.sharp, TESTS[kept.point.problem.form][kept.role]
         try:
@@ -323,12 +329,11 @@ def follow_rest_curve(
     form, slowest = start.problem.form, start.problem.pace
     curve = {"test": {"kind": form, "detail": ""}, "form": form, "parameters": names, "pace": slowest, "fixed": fixed}
     judge, label = Judge(model, names), name or f"{equilibria.name}-{number}-{'-'.join(names)}"
-    first = start.problem, start.w.vector, start.tangent
-    ways = [_Track(judge, until, sign, *first) for sign in (1.0, -1.0)[: 1 + (until is None)]]
     request = {"system": dict(model.system), "start": start.w.vector, "curve": curve, "way": 0, "until":
                until is not None}  # fmt: skip
-    pace = replace(rest.PACE, points=points, located=KNOWN)
-    return rest.gone(ways, (label, equilibria.title), request, at, pace, out, progress, curve)
+    goals, pace = Goals(names[0], until, tuple(map(float, at))), replace(rest.PACE, points=points, located=KNOWN)
+    first = _AlongCurve(goals, 1.0, request, judge, start.problem, start.w.vector, None, start.tangent)
+    return rest.gone(first, until is None, (label, equilibria.title), pace, out, progress, curve)
 
 
 def _chosen(equilibria: Equilibria, event: int | RestEvent) -> tuple[int, RestEvent]:
@@ -382,19 +387,39 @@ def _start(
 
 
 def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
-    """Every point of a curve from its record alone: rates, eigenvalues, critical ones by the flow, coefficients, and
-    that special points are such; of equilibria in one parameter see `rest_certificate.verified`."""
-    if not equilibria.curve:
-        return certificate.verified(equilibria, model)
+    """Every point from its record alone: rates, eigenvalues from their differences, critical ones by the flow, and
+    verdicts; along a curve also coefficients, and that special points are such."""
     every: tuple[Equilibrium | RestEvent, ...] = (*equilibria.points, *equilibria.events)
-    curve, names = equilibria.curve, tuple(equilibria.parameters)
-    model = with_parameters(model or build_model(equilibria.system), curve["fixed"])
-    sizes = equations.state_sizes(model, np.abs([each.state for each in every]).max(axis=0))
-    judge, jets = Judge(model, names), at_rest(model, names, every[0].state)
-    judged = np.max([_judged(judge, curve["pace"], each, sizes) for each in every], axis=0)
-    told = [each for each in every if each.kind not in REAL]
+    curve = equilibria.curve
+    fixed, least = (curve["fixed"], curve["pace"]) if curve else ({}, 0.0)
+    model = with_parameters(model or build_model(equilibria.system), fixed)
+    measured = every if curve else equilibria.points
+    sizes = equations.state_sizes(model, np.abs([each.state for each in measured]).max(axis=0))
+    judge, wrong = Judge(model, equilibria.parameters), 0
+    judged = np.max([_judged(judge, least, each, sizes) for each in every], axis=0)
+    for each in every:
+        if curve:
+            wrong += not _consistent(each.kind, each.eigenvalues)
+        elif isinstance(each, RestEvent):
+            wrong += not each.consistent
+        else:
+            wrong += not judge.follows(each, sizes, _pace(least, each))
+    where, what = ("", "kinds") if curve else ("at the events, ", "stability and events")
+    return Certificate((
+        at_most("rates", judged[0], ALLOWED[0], "largest rate, in the sizes and the pace of its equilibrium"),
+        at_most("eigenvalues", judged[1], ALLOWED[1], "from differences of the rates"),
+        at_most("critical eigenvalues", judged[2], ALLOWED[2], f"{where}by the flow of the variations"),
+        *(_solved_again(at_rest(model, equilibria.parameters, every[0].state), curve, every, sizes) if curve else ()),
+        equal("verdicts", float(wrong), 0.0, f"on {what}, which eigenvalues do not bear out"),
+    ))  # fmt: skip
+
+
+def _solved_again(
+    jets: Jets, curve: Mapping[str, Any], every: Sequence[Equilibrium | RestEvent], sizes: np.ndarray
+) -> tuple[Check, Check]:  # fmt: skip
+    """Special points and coefficients along a curve, at the recorded states."""
     known: list[tuple[Equilibrium | RestEvent, AtRest, Stacked]]
-    known = [(each, *_again(jets, curve, each, sizes)) for each in told]
+    known = [(each, *_again(jets, curve, each, sizes)) for each in every if each.kind not in REAL]
     off = left = 0.0
     for each, problem, w in known:
         if isinstance(each, RestEvent):
@@ -405,15 +430,10 @@ def verified(equilibria: Equilibria, model: Model | None = None) -> Certificate:
         for name, value in each.normal_form.items():
             mine = NORMAL[each.kind](problem, w).get(name, np.inf)
             off = max(off, abs(abs(mine) - abs(value)) / size_of(np.array([mine, value])))
-    wrong = sum(not _consistent(each.kind, each.eigenvalues) for each in every)
-    return Certificate((
-        at_most("rates", judged[0], ALLOWED[0], "largest rate, in the sizes and the pace of its equilibrium"),
-        at_most("eigenvalues", judged[1], ALLOWED[1], "from differences of the rates"),
-        at_most("critical eigenvalues", judged[2], ALLOWED[2], "by the flow of the variations"),
+    return (
         at_most("special points", left, VANISHED, "what vanishes there, relative to its median along the curve"),
         at_most("coefficients", off, SAME, "of normal forms, from those of the equations at the recorded states"),
-        equal("verdicts", float(wrong), 0.0, "on kinds, which eigenvalues do not bear out"),
-    ))  # fmt: skip
+    )
 
 
 def _again(

@@ -15,8 +15,16 @@ from scipy.integrate import BDF
 
 from orbitfinder.errors import UNSOLVED, ConvergenceError, InputError, closest
 from orbitfinder.families.equilibrium import Equilibrium
-from orbitfinder.families.rest_certificate import NOISE, Judge
-from orbitfinder.families.rest_problem import AtRest, Stacked, regular, spectrum, state_sizes, without_noise
+from orbitfinder.families.rest_problem import (
+    NOISE,
+    AtRest,
+    Judge,
+    Stacked,
+    regular,
+    spectrum,
+    state_sizes,
+    without_noise,
+)
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.jets import Jets, at_rest
 from orbitfinder.mechanics.model import Model

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 
 from orbitfinder.continuation.tests import decomposed, felt
 from orbitfinder.errors import InputError
-from orbitfinder.families.rest_certificate import stability
+from orbitfinder.families.equilibrium import stability
 from orbitfinder.integrate.jets import Jets
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.newton import equilibrium

@@ -18,7 +18,7 @@ import numpy as np
 from orbitfinder._runtime import locks
 from orbitfinder._runtime.keeping import STOPPED, finished
 from orbitfinder._runtime.sizes import nonzero
-from orbitfinder.continuation.follow import CurveJournal, Goals, Pace, SolutionCurve, follow, towards
+from orbitfinder.continuation.follow import Direction, Goals, Pace, follow, towards
 from orbitfinder.continuation.problem import Point, plane, solved
 from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.integrate.dop853 import STEPS_PER_PERIOD, integrate_in
@@ -184,31 +184,19 @@ def follow_tori(
     ring = replace(ring, most=chosen.most_states)
     unit = 2 * np.pi if asked == "rotation" else 1.0  # rad a turn
     inner = Goals(asked, None if until is None else unit * until, tuple(unit * value for value in goals))
-
-    def begin() -> Point:
-        point = _first(ring, guess, direction)
-        if free:
-            return point if towards(point, asked, inner.until) > 0 else replace(point, tangent=-point.tangent)
-        return _first(*_backwards(ring, guess, direction)) if _other_way_round(point, inner) else point
-
     path = None if out is None else Path(out) / label / "tori.jsonl"
     request = {"origin": begun, "asked": asked, "mode": mode, "states": chosen.most_states,
                "step": chosen.step, "certify": chosen.certify, "system": dict(system.system)}  # fmt: skip
-    journal = CurveJournal(
-        _Keeping(ring, system, chosen.certify), path, request,
-        lambda point: towards(point, asked, inner.until) > 0 if free else not _other_way_round(point, inner),
-    )  # fmt: skip
+    curve = _TorusDirection(inner, 1.0, request, ring, guess, direction, free, system, chosen.certify)
     pace = Pace(first=chosen.step, shortest=1e-3, longest=10.0, points=chosen.points, quick=6)
     held = {label: value / (2 * np.pi) if label == "rotation" else value for label, value in ring.held}
-
-    curve = SolutionCurve()
 
     def tori(end: str) -> Tori:
         return Tori(label, dict(system.system), asked, held, tuple(kept.record for kept in curve.points), end,
                     getattr(origin, "title", ""))  # fmt: skip
 
     with locks.alone_in(path and path.parent):
-        for kept in follow(curve, journal, begin, inner, pace):
+        for kept in follow(curve, pace, path):
             finished(lambda: tori(STOPPED))
             if progress:
                 progress(kept.record)
@@ -269,28 +257,8 @@ def resonance(rotation: float, most: int) -> tuple[int, int] | None:
     return (int(nearest[hit[0]]), int(orders[hit[0]])) if hit.size else None
 
 
-def _other_way_round(first: Point, goals: Goals) -> bool:
-    """Whether 1 - goal lies ahead of a first torus, nearer than the goal: theta -> -theta makes r of a torus 1 - r."""
-    goal = goals.until if goals.until is not None else min(goals.at, default=None)
-    if goals.name != "rotation" or goal is None:
-        return False
-    ahead = [angle for angle in (goal, 2 * np.pi - goal) if towards(first, "rotation", angle) > 0]
-    return bool(ahead) and min(ahead, key=lambda angle: abs(angle - first.w.angle)) != goal
-
-
 Guessed = tuple[Circle, Turned, np.ndarray]
 """A ring, a guess of its torus, and the direction (over w) in which that is one of a family"""
-
-
-def _backwards(ring: Circle, guess: Turned, direction: np.ndarray) -> Guessed:
-    """The same gone round the other way."""
-
-    def turned(curve: np.ndarray) -> np.ndarray:
-        return np.roll(curve[::-1], 1, axis=0)
-
-    w = replace(guess, curve=turned(guess.curve), angle=2 * np.pi - guess.angle)
-    curve = turned(direction[: guess.curve.size].reshape(guess.curve.shape))
-    return ring, w, np.concatenate([curve.ravel(), direction[guess.curve.size :]])
 
 
 def _from_orbit(orbit: Orbit, model: Model, asked: str, mode: int) -> Guessed:
@@ -338,13 +306,6 @@ def _from_torus(torus: Torus, model: Model, asked: str) -> Guessed:
     return ring, w, direction
 
 
-def _first(ring: Circle, guess: Turned, direction: np.ndarray) -> Point:
-    """The torus in the plane through a guess across a direction."""
-    point = solved(ring, guess, plane(ring, guess, direction))
-    ring, w, tangent = ring.at(point.w, point.tangent)
-    return replace(point, problem=ring, w=w, tangent=tangent)
-
-
 def filled(torus: Torus, model: Model, lines: int) -> np.ndarray:
     """States (lines x k x d) all over a torus: one return from each of so many angles."""
     equations = Equations(with_parameters(model, torus.free), NONE)
@@ -375,13 +336,51 @@ def strip(curve: np.ndarray) -> float:
     return float(-np.polyfit(clear, np.log(nonzero(largest[clear])), 1)[0])
 
 
-@dataclass(frozen=True, eq=False)
-class _Keeping:
-    """How tori are kept: the ring of the first, the system, whether each is certified."""
+@dataclass(eq=False)
+class _TorusDirection(Direction):
+    """A direction along tori: the ring of the first, a guess of it and the way (over w) in which that is of a family,
+    whether that way is `free` to be turned, the system, and whether each is certified."""
 
     ring: Circle
+    guess: Turned
+    way: np.ndarray
+    free: bool
     model: Model
     certify: bool
+
+    def begin(self) -> Point:
+        """The first torus, its tangent this way, or the same torus gone round the other way."""
+        guess, way, shape = self.guess, self.way, self.guess.curve.shape
+        point = self._near(guess, way)
+        if self.leads(point):
+            return point
+        if self.free:
+            return replace(point, tangent=-point.tangent)
+
+        def turned(curve: np.ndarray) -> np.ndarray:
+            return np.roll(curve.reshape(shape)[::-1], 1, axis=0)
+
+        curve, others = np.split(way, [guess.curve.size])
+        guess = replace(guess, curve=turned(guess.curve), angle=2 * np.pi - guess.angle)
+        return self._near(guess, np.concatenate([turned(curve).ravel(), others]))
+
+    def _near(self, guess: Turned, way: np.ndarray) -> Point:
+        """The torus in the plane through a guess across a direction."""
+        point = solved(self.ring, guess, plane(self.ring, guess, way))
+        ring, w, tangent = self.ring.at(point.w, point.tangent)
+        return replace(point, problem=ring, w=w, tangent=tangent)
+
+    def leads(self, first: Point) -> bool:
+        """Whether its goal lies ahead of a first torus, and 1 - goal not nearer: theta -> -theta makes r of a torus
+        1 - r."""
+        name, until = self.goals.name, self.goals.until
+        if self.free:
+            return towards(first, name, until) > 0
+        goal = until if until is not None else min(self.goals.at, default=None)
+        if name != "rotation" or goal is None:
+            return True
+        ahead = [angle for angle in (goal, 2 * np.pi - goal) if towards(first, name, angle) > 0]
+        return not ahead or min(ahead, key=lambda angle: abs(angle - first.w.angle)) == goal
 
     def record(self, point: Point) -> Torus:
         """The Torus. Raises `ConvergenceError` where its curve needs more states."""
@@ -415,7 +414,7 @@ class _Keeping:
         return Point(ring, w, tangent, float(entry["arclength"]), float(entry["step"])), record
 
 
-def _ended(curve: SolutionCurve, asked: str, until: float | None, most: int) -> str:
+def _ended(curve: Direction, asked: str, until: float | None, most: int) -> str:
     """Why a family ends, in words."""
     assert curve.end is not None
     kinds = {"target": f"{asked} reached {until or 0.0:.12g}", "point limit": f"point limit of {most}"}
