@@ -55,6 +55,10 @@ def off(orbit, *pulse):
 def test_multipliers_that_only_a_pulse_between_steps_decides_are_not_certified(tmp_path):
     narrow = of.find_orbit(swinging(300, 1e-3, 1.5, 3.0, tmp_path))
     assert "resolution" in narrow.certificate.failures
+
+
+@pytest.mark.slow
+def test_multipliers_that_a_wider_pulse_decides_are(tmp_path):
     wide = of.find_orbit(swinging(3, 0.02, 1.5, 3.0, tmp_path))
     assert wide.certificate.passed
     assert off(wide, 3, 0.02, 1.5) < 1e-9
