@@ -115,7 +115,7 @@ class Motion:
     precise: float = EPSILON
     """relative error that its integration makes"""
     varied: Sequence[Trace] = ()
-    """the steps of DOP853 along each piece, of the motion and one of its variations (2 m numbers)"""
+    """the steps of DOP853 along each piece, of the motion and a variation (2 m numbers), in double precision alone"""
     through: np.ndarray | None = None
     """Phi over half the period and over the period (2 x m x m) where products of `transitions` are not as precise"""
 
@@ -307,9 +307,6 @@ def _pieces(
     for k in range(PIECES):
         begin, span = starts[k] if len(starts) > 1 else nodes[-1], period * np.array([k, k + 1]) / PIECES
         end, piece, done = varied_end(variational, begin, span, units, work, varied, traces)
-        if traces is not None and isinstance(varied, Extended):
-            with suppress(IntegrationError):
-                varied_end(variational, begin, span, units, work, VARIED, traces)
         pieces.append(piece)
         nodes.append(end)
         action += done
@@ -653,8 +650,7 @@ def _sharpened(model: Model, motion: Motion, units: np.ndarray, quadruple: bool)
     path, missed = sums[:, 0].astype(float), (sums[-1] - sums[0]).sum(axis=0).astype(float)
     trace = drifting(_traced(equations.field, plain, units, sums, motion.times), motion.turns, units)
     at = np.searchsorted(motion.times, evenly(period)[:: SAMPLES // PIECES])
-    varying = list[Trace]()
-    pieces, _, action = _pieces(equations, sums[at, 0], units, period, wide, varying)
+    pieces, _, action = _pieces(equations, sums[at, 0], units, period, wide)
     through = None
     if quadruple:  # past encounters errors grow and shrink again by more than pieces hold
         halves = period * np.array([0.0, 0.5, 1.0])
@@ -662,7 +658,7 @@ def _sharpened(model: Model, motion: Motion, units: np.ndarray, quadruple: bool)
     return replace(
         motion, transitions=pieces, missed=missed, path=path, states=equations.states(path), action=action, trace=trace,
         precise=QUADRUPLE if quadruple else ROUND_OFF, through=through,
-        ended=equations.ended(path), varied=varying,
+        ended=equations.ended(path), varied=(),
     )  # fmt: skip
 
 
