@@ -25,7 +25,7 @@ from orbitfinder.families.events import avoiding, event_at, find_events
 from orbitfinder.families.joins import Invariance, Join
 from orbitfinder.families.motion import watched
 from orbitfinder.families.passages import AIMED, MET, Test, avoided, crossing_ahead, zeros
-from orbitfinder.families.point import FamilySettings, freed, make_point, parameter_value
+from orbitfinder.families.point import FamilySettings, make_point, parameter_value
 from orbitfinder.families.registry import tests_of
 from orbitfinder.families.run import (
     Interval,
@@ -165,13 +165,13 @@ def _attempt(run: Run, before: Walked, length: float, blocks: Blocks | None) -> 
 
 def _check_symmetric(curve: Curve, solution: Solution) -> None:
     """`ConvergenceError` where the equations beside an orbit lack a symmetry by which a part of it stands for all."""
-    p, states, place = curve.equations, solution.march.states, solution.place
-    some = states[:: max(1, len(states) // 24)]
-    if lost := p.symmetry.lost_beside(p.model, some, curve.scales.states, place.period / 2, freed(curve, place)):
+    p, w, states = curve.equations, solution.place, solution.march.states
+    rates, some = partial(p.march.rates, tail=w.tail), states[:: max(1, len(states) // 24)]
+    if lost := p.symmetry.lost_beside(rates, some, curve.scales.states, w.period / 2):
         change = lost.in_words(p.model.coordinates)
         raise ConvergenceError(
-            f"the orbits keep to a symmetry that the equations lose there, which change under {change}; start from an "
-            "orbit beyond, which is followed without it"
+            f"the equations lose the symmetry of the family's orbits there: they change under {change}; start from an "
+            "orbit beyond, whose family is followed without it"
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -422,12 +423,12 @@ def symmetry_of(curve: Curve, solution: Solution) -> str:
     if not model.conservative:  # symmetries that reverse time need no dissipation
         candidates = [replace(seen, maps=(seen.forward,))] if seen.forward else []
     models = (model, moved(model, curve.equations.free))
-    place, middle, units = solution.place, states.mean(axis=0), curve.sizes(solution)
-    values = dict(zip(curve.equations.free, place.free.tolist(), strict=True))
+    w, middle, sizes = solution.place, states.mean(axis=0), curve.sizes(solution)
+    rates = partial(curve.equations.march.rates, tail=w.tail)
     wide = np.vstack([middle + share * (states[:: 4 * SAMPLES // 120] - middle) for share in (0.5, 1.0, 2.0, 4.0)])
     kept = (each.name for each in candidates
             if all(each.held_by(m, states[0], curve.cycles) for m in models)
-            and each.lost_beside(model, wide, units, place.period / 2, values) is None)  # fmt: skip
+            and each.lost_beside(rates, wide, sizes, w.period / 2) is None)  # fmt: skip
     return next(kept, NONE.name)
 
 

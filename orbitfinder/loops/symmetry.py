@@ -60,6 +60,8 @@ RECOGNISED = Recognition()
 
 Affine = tuple[np.ndarray, np.ndarray]
 """(S, d) of x -> S x + d"""
+Rates = Callable[..., np.ndarray]
+"""States (k x d) and `times` (k) -> their rates"""
 
 
 @dataclass(frozen=True)
@@ -423,25 +425,22 @@ class Symmetry:
                     "use symmetry = 'none' (symmetric orbits are recognised)"
                 )
 
-    def lost_beside(
-        self, model: Model, states: np.ndarray, units: np.ndarray, half: float, free: Mapping[str, float]
-    ) -> Involution | None:
-        """An involution of it that the equations lack, with parameters `free` of these values, beside states (k x 2n)
-        of a motion that has it, `half` its period, in `units` (2n): it may go on to where the equations lose it.
+    def lost_beside(self, rates: Rates, states: np.ndarray, sizes: np.ndarray, half: float) -> Involution | None:
+        """An involution R of it that x' = f(t, x) lacks, f(sense t, R x) = sense R f(t, x), beside states (k x d) of a
+        motion of these `sizes` (d) that has it: the motion may go on to where the equations lose it.
+
+        `rates` are f of rows at times, which an R that runs forwards shifts by `half` a period.
         """
-        random, n = np.random.default_rng(0), model.degrees_of_freedom
-        away = RECOGNISED.beside * (model.constraint is None) * units * random.normal(size=states.shape)
-        near, values = states + away, model.values_of(model.parameter_names)
-        for name, value in free.items():
-            values[model.parameter_names.index(name)] = value
+        random, n = np.random.default_rng(0), self.coordinates(sizes.size)
+        near = states + RECOGNISED.beside * sizes * random.normal(size=states.shape)
         for each in self.maps:
-            shift = half if model.forced and each.sense > 0 else 0.0
-            times = random.uniform(0, float(snapped(shift)) + 2 * shift, (1, len(states)))
-            at = [times, *(part.T for part in np.split(near, [n], axis=1) if part.size), values]
-            pair = images(model, each.sense, ca.DM(each.places(n)), at, shift).full() / units[:n, None]
-            there, here = np.split(pair, 2, axis=1)
-            known = np.isfinite(there).all(axis=0) & np.isfinite(here).all(axis=0)
-            if np.abs((there + here)[:, known]).max(initial=0.0) > RECOGNISED.broken * size_of(here[:, known]):
+            matrix, shift = each.matrix(n), half if each.sense > 0 else 0.0
+            times = random.uniform(0, float(snapped(shift)) + 2 * shift, len(near))
+            with np.errstate(all="ignore"):
+                here = each.sense * rates(near, times=times) @ matrix.T / sizes
+                apart = rates(near @ matrix.T, times=each.sense * times + shift) / sizes - here
+            known = np.isfinite(apart).all(axis=1)
+            if np.abs(apart[known]).max(initial=0.0) > RECOGNISED.broken * size_of(here[known]):
                 return each
         return None
 
